@@ -398,10 +398,7 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
-    """Check the types of the fields by name.
-
-    Raises TypeError, ValueError.
-    """
+    """Check the types of the fields. Raises TypeError, ValueError."""
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:
@@ -448,10 +445,7 @@ def _from_arrays(content: archive.Fields) -> Tradeoff:
 
 
 def _kinds(field: Field[Any]) -> str:
-    """Return NumPy's type codes for a field, such as "fi".
-
-    Schemes and corrections are stored as text.
-    """
+    """Return NumPy's type codes, such as "fi"; schemes are text."""
     return {"float": "fi", "int": "i", "bool": "b"}.get(str(field.type), "U")
 
 

@@ -1,4 +1,4 @@
-"""The command line."""
+"""Command line of tenscasadi."""
 
 from __future__ import annotations
 

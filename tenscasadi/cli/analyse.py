@@ -1,4 +1,4 @@
-"""Command that reports on a scene at rest."""
+"""Command `analyze`: report on a scene at rest."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def analyze_scene(
     The report lists members, equilibrium under the loads of the scene, self-stresses, mechanisms,
     stability, the softest motions with stiffness and frequency, and the largest utilization.
     Pictures show forces by color and width with reactions, and the softest motions. Files of other
-    programs (.mat, .xml, .yaml) are imported; parts without a counterpart are left out.
+    programs (.mat, .xml, .yaml) are imported; parts without a counterpart are omitted.
 
     Parameters
     ----------
@@ -84,7 +84,10 @@ def analyze_scene(
 
 
 def _read_material(modulus: float | None, strength: float | None) -> Material | None:
-    """Read the material of all members. Raises ValueError."""
+    """Read the material of all members.
+
+    Raises ValueError.
+    """
     if modulus is None and strength is None:
         return None
     if modulus is None or strength is None:
@@ -94,7 +97,7 @@ def _read_material(modulus: float | None, strength: float | None) -> Material | 
 
 
 def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
-    """Load a scene and the stem of its name.
+    """Load a scene and the first part of its output file names.
 
     The source is a template, a scene file, or a file of another program.
     """
@@ -108,9 +111,9 @@ def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
 
 
 def _prestress(scene: Scene, least: float) -> Scene:
-    """Prestress a scene evenly with a least tension [N].
+    """Prestress a scene as evenly as possible.
 
-    Raises ValueError.
+    Tensions are at least `least` [N]. Raises ValueError.
     """
     found = find_prestress(scene.structure, Even(), minimum=least)
     if not found.success:
@@ -119,7 +122,10 @@ def _prestress(scene: Scene, least: float) -> Scene:
 
 
 def _find_pictures(found: StaticsReport, stem: str) -> dict[str, Callable[[Path], Any]]:
-    """Build the functions that draw forces and softest motions."""
+    """Build functions that draw the forces and the softest modes.
+
+    They are stored by the endings of their file names.
+    """
     eq, st = found.equilibrium, found.stability
     pictures: dict[str, Callable[[Path], Any]] = {}
     if eq.success:

@@ -1,4 +1,4 @@
-"""Commands that describe and simulate scenes and compare schemes."""
+"""Commands `describe`, `simulate` and `compare`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tenscasadi.util.validate import positive_number
 
 
 def find_fields() -> Any:
-    """Find the fields of [simulation]."""
+    """Return the fields of the table [simulation]."""
     return SIMULATION.fields
 
 

@@ -1,4 +1,4 @@
-"""Commands that exchange files with other programs."""
+"""Commands `export` and `import` for files of other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Packages that are loaded by the commands that need them."""
+"""Late imports of packages that only some commands need."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ from typing import Any
 
 
 def load_ocp() -> Any:
-    """Load the package of planning."""
+    """Import the planning package `ocp`."""
     import ocp.io.plan_section
 
     return ocp
 
 
 def load_viewer() -> Any:
-    """Load the package of the viewer."""
+    """Import the viewer package."""
     import tenscasadi.viewer
 
     return tenscasadi.viewer
 
 
 def load_plots() -> Any:
-    """Load the package of figures and animations, with matplotlib."""
+    """Import the package of figures and animations, with matplotlib."""
     import tenscasadi.plots.animation
 
     return tenscasadi.plots

@@ -1,4 +1,4 @@
-"""Commands of the command line, their entry point, and its error handling."""
+"""Entry point of the command line, with its error handling."""
 
 from __future__ import annotations
 
@@ -97,5 +97,5 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning in one line, without its source line."""
+    """Print a warning in one line."""
     _tell(f"warning: {message}")

@@ -1,7 +1,4 @@
-"""Command line parser.
-
-It follows from the signatures and docstrings of the commands.
-"""
+"""Command-line parser, built from the commands' signatures and docstrings."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from tenscasadi.version import __version__
 
 
 class Command(NamedTuple):
-    """Command and the scene file section whose fields are options."""
+    """Command, and the scene-file table whose fields are options."""
 
     run: Callable[..., int]
     section: str = ""
@@ -38,14 +35,14 @@ after `eval "$(tenscasadi completion bash)"`, in ~/.bashrc for good (or zsh, ~/.
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser with errors of one line."""
+    """Argument parser whose errors have one line."""
 
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 class CommandOption(NamedTuple):
-    """Argument of the command line."""
+    """Option or argument of a command."""
 
     type: Any
     default: Any
@@ -53,7 +50,7 @@ class CommandOption(NamedTuple):
 
 
 def parse(argv: Sequence[str], commands: Commands) -> Callable[[], int]:
-    """Return the command that arguments ask for, ready to run.
+    """Parse arguments, and return the command ready to run.
 
     Raises SystemExit.
     """
@@ -89,9 +86,9 @@ def _build_changes(section: str, options: Any) -> Iterator[Change]:
 
 
 def command_parser(commands: Commands, only: str | None = None) -> argparse.ArgumentParser:
-    """Build the parser.
+    """Build the parser of all commands.
 
-    Only the command `only` gets the fields of its section; by default all do.
+    Only the command `only` gets the fields of its scene-file table as options; by default all do.
     """
     parser = _Parser(
         prog="tenscasadi", description=_DESCRIPTION, epilog=_EPILOG, allow_abbrev=False
@@ -130,7 +127,7 @@ def _read_type(kind: Any) -> Any:
 
 @cache
 def _find_options(function: Callable[..., Any]) -> dict[str, CommandOption]:
-    """Find the options of a command.
+    """Find the options of a command from its signature.
 
     A parameter `report` stands for the fields of `CommandReport`.
     """

@@ -1,4 +1,4 @@
-"""Commands that plan motions, and run controllers."""
+"""Commands `plan` and `control`."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tenscasadi.util.compile import find_compiler
 
 
 def find_fields() -> Any:
-    """Find the fields of [plan]."""
+    """Return the fields of the table [plan]."""
     return load_ocp().io.plan_section.PLAN.fields
 
 
 def find_loop_fields() -> Any:
-    """Find the fields of [closed_loop]."""
+    """Return the fields of the table [closed_loop]."""
     return load_ocp().io.study_sections.SECTIONS["closed_loop"].fields
 
 
@@ -138,7 +138,10 @@ def control_motion(
 
 
 def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
-    """Read the arguments of `ocp.solve` and the studies before anything is solved."""
+    """Read the arguments of `ocp.solve` and the requested studies.
+
+    This is done before anything is solved, so that errors come early.
+    """
     ocp = load_ocp()
     arguments = ocp.io.problem_files.read_arguments(found.document)
     return arguments, ocp.io.study_sections.read_studies(found.document)
@@ -146,7 +149,7 @@ def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
 
 @contextmanager
 def _named(found: SceneSource, section: str) -> Iterator[None]:
-    """Name the file and the section in errors."""
+    """Add the names of file and table to errors."""
     try:
         yield
     except SceneFileError:
@@ -156,7 +159,7 @@ def _named(found: SceneSource, section: str) -> Iterator[None]:
 
 
 def _find_plan(found: SceneSource, arguments: dict[str, Any], refinement: Any) -> Any:
-    """Solve [plan], and refine the plan if a file says so."""
+    """Solve the problem in [plan], and refine the plan if requested."""
     with _named(found, "plan"):
         plan = load_ocp().solve(**arguments)
     if refinement is None:
@@ -168,7 +171,7 @@ def _find_plan(found: SceneSource, arguments: dict[str, Any], refinement: Any) -
 def _study_robustness(
     found: SceneSource, plan: Any, study: Any, report: CommandReport
 ) -> dict[str, Any]:
-    """Replay the plan under random errors, and report the result.
+    """Replay the plan with random errors, and report the result.
 
     Returns its numbers by name.
     """

@@ -23,7 +23,7 @@ Writers = Mapping[str, Callable[[Path], object]]  # by the end of the file's nam
 
 @dataclass
 class CommandReport:
-    """Report of a command.
+    """Output options of a command, and functions that write.
 
     Parameters
     ----------
@@ -80,13 +80,13 @@ class CommandReport:
 
 
 def find_scalars(result: Stored) -> dict[str, Any]:
-    """Find the numbers and texts of a result by name."""
+    """Return the scalar fields of a result by name."""
     own = array_fields(type(result)).items()
     return {name: getattr(result, name) for name, (letters, _) in own if letters == ""}
 
 
 def _plain(value: Any) -> Any:
-    """Convert a value to JSON; non-finite numbers become null."""
+    """Convert a value to JSON types; non-finite numbers become null."""
     if isinstance(value, Mapping):
         return {str(name): _plain(own) for name, own in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -1,4 +1,4 @@
-"""Files of results by their names: trajectories, rollouts and plans."""
+"""Loading of trajectories, rollouts and plans from files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Templates and scene files with changes from the command line."""
+"""Scene files and templates, with changes from the command line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SCENE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class SceneSource:
-    """A scene file of the package or of a user.
+    """Template or scene file, with changes from the command line.
 
     Attributes
     ----------
@@ -50,23 +50,23 @@ class SceneSource:
 
     @cached_property
     def document(self) -> Document:
-        """Content of the file."""
+        """Parsed content of the file."""
         return read_document(self.path, self.changes)
 
     @property
     def stem(self) -> str:
-        """Begin of the names of files that are written."""
+        """First part of the names of output files."""
         return self.path.stem
 
     def scene(self) -> Scene:
-        """Read the scene.
+        """Read the scene from the file.
 
         Raises SceneFileError, OSError.
         """
         return read_scene(self.document)
 
     def simulation(self) -> Simulation:
-        """Read the simulation.
+        """Read the simulation from the file.
 
         Raises SceneFileError, OSError.
         """
@@ -74,12 +74,12 @@ class SceneSource:
 
     @property
     def string_groups(self) -> dict[str, list[int]]:
-        """Strings by the names of their groups."""
+        """Indices of strings by the names of their groups."""
         groups = self.scene().structure.names.named["string"].items()
         return {name: list(strings) for name, strings in groups if not name.endswith("]")}
 
     def has(self, section: str) -> bool:
-        """Return whether the file has a section."""
+        """Return whether the file has a table of this name."""
         return self.document.section(section) is not None
 
 

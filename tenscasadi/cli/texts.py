@@ -1,4 +1,4 @@
-"""Commands that print scene files, schema and shell scripts."""
+"""Commands `new`, `schema` and `completion`, which print text."""
 
 from __future__ import annotations
 

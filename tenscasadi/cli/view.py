@@ -1,4 +1,4 @@
-"""Command that shows scenes and results in a browser."""
+"""Command `view`: scenes and results in a browser."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def show(
     follow: bool = False,
     side_by_side: bool = False,
 ) -> int:
-    """Show scenes, motions and plans in a browser.
+    """Show scenes, trajectories and plans in a browser.
 
-    With --html it writes a page instead.
-
-    Several motions are superimposed, the first one opaque. Ctrl-C ends the viewer.
+    With --html it writes a page instead. Several trajectories are superimposed, the first one
+    opaque. Ctrl-C ends the viewer.
 
     Parameters
     ----------

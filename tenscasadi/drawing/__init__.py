@@ -1,1 +1,1 @@
-"""Pictures: content, colors and shapes, for plots, viewer and exporters."""
+"""Content, colors and shapes of pictures, for plots, viewer and exporters."""

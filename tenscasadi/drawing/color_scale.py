@@ -14,7 +14,7 @@ QUANTITIES = {"tension": "N", "force density": "N/m"}  # with their units
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Colors of the values from 0 to `largest`.
+    """Color scale for string forces from 0 to `largest`.
 
     Slack strings are gray, and strings in compression green.
 
@@ -39,7 +39,7 @@ class ColorScale:
 
     @staticmethod
     def of(quantity: str, values: Array) -> ColorScale:
-        """Build the scale of all finite values."""
+        """Build the color scale for all finite values."""
         known = values[np.isfinite(values)]
         positive = known[known > 0]
         end = np.quantile(positive, STYLE.saturation, method="higher") if len(positive) else 0.0
@@ -67,7 +67,7 @@ class ColorScale:
         return "; ".join(parts)
 
     def widen(self, values: Array) -> ColorScale:
-        """Include more values.
+        """Extend the scale to more values.
 
         The scale has a new end if they exceed it by 5 %.
         """

@@ -1,4 +1,4 @@
-"""Content of a picture of structures, scenes, motions and plans."""
+"""Conversion of structures, scenes and results to picture content."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ MOST_COPIES = 60  # drawn motions of rollouts: more are no longer told apart
 
 
 def describe_content(things: Any, field: str = "things", ground: Grounds = None) -> ViewContent:
-    """Describe a thing, a list, or a mapping of names.
+    """Convert structures, scenes or results to picture content.
 
-    Objects of other packages describe themselves by a method ``_view_content_()``. `field` names
-    the things in errors, and `ground` holds grounds besides those of the scenes.
+    They can be in a list, or in a mapping of names. Objects of other packages convert themselves by
+    a method ``_view_content_()``. `field` names the argument in errors, and `ground` has grounds
+    besides those of the scenes.
     """
     if isinstance(things, Mapping):
         named = [(text(field, name), thing) for name, thing in things.items()]
@@ -65,7 +66,10 @@ def describe_content(things: Any, field: str = "things", ground: Grounds = None)
 
 
 def _describe(thing: Any, name: str) -> ViewContent | None:
-    """Describe one thing; None if its type is unknown."""
+    """Convert one object to picture content.
+
+    Returns None if its type is unknown.
+    """
     if isinstance(thing, Structure):
         return ViewContent((describe_structure(thing, name or "structure"),))
     if isinstance(thing, Model):
@@ -93,9 +97,10 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
 def describe_structure(
     structure: Structure, name: str, laws: Iterable[tuple[StringLaw, Indices]] | None = None
 ) -> Motion:
-    """Describe a structure at rest, with the string forces of its rest lengths.
+    """Convert a structure at rest to picture content.
 
-    `laws` are those of its strings; by default all have `Clip`.
+    String forces follow from the rest lengths. `laws` are the string laws; by default all have
+    `Clip`.
     """
     s, every = structure, np.arange(len(structure.strings))
     tension = np.zeros(len(s.strings))
@@ -125,7 +130,7 @@ def describe_structure(
 
 
 def describe_trajectory(trajectory: Trajectory, name: str) -> Motion:
-    """Describe a trajectory."""
+    """Convert a trajectory to picture content."""
     t = trajectory
     tension, density = (
         hide_broken(t.scene, t.states, values) for values in (t.tension, t.force_density)
@@ -143,7 +148,10 @@ def find_grounds(result: Trajectory | Rollouts) -> tuple[Surface, ...]:
 
 
 def describe_rollouts(rollouts: Rollouts, name: str) -> Motion:
-    """Describe evenly selected rollouts as copies of one structure."""
+    """Convert some rollouts to picture content.
+
+    They are evenly selected, and drawn as copies of one structure.
+    """
     total = len(rollouts.states)
     chosen = np.unique(np.linspace(0, total - 1, min(total, MOST_COPIES)).round().astype(int))
     paths = node_positions(rollouts, slice(None), chosen).swapaxes(0, 1)  # (T, copies, n, 3)

@@ -9,7 +9,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 
 def find_hulls(structure: Structure | None) -> list[Indices]:
-    """Find the faces (f, 3) of each body.
+    """Find the faces (f, 3) of each rigid body.
 
     They are triangles of node indices: the given ones, or those of the convex hull. Bodies whose
     nodes lie on a line have no hull.

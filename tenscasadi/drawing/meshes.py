@@ -1,4 +1,4 @@
-"""Triangle meshes, and the poses that place copies of them."""
+"""Triangle meshes, and poses of their copies."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Floats = NDArray[np.float32]
 
 
 class Mesh(NamedTuple):
-    """Vertices (v, 3) and triangles (f, 3)."""
+    """Triangle mesh with vertices (v, 3) and triangles (f, 3)."""
 
     vertices: Array
     faces: Indices
@@ -35,9 +35,9 @@ class Poses(NamedTuple):
     scales: Floats
 
     def round(self, grain: float) -> Poses:
-        """Round positions and scales to about a grain [m].
+        """Round positions and scales to a resolution `grain` [m].
 
-        Rotations are rounded alike. A grain of 0 leaves all as they are.
+        Rotations are rounded likewise. A grain of 0 changes nothing.
         """
         if grain == 0:
             return self
@@ -130,9 +130,9 @@ def place_balls(centers: Array, radius: Array) -> Poses:
 
 
 def round_floats(values: Floats, grain: float) -> Floats:
-    """Round values to multiples of a power of two, at most `grain`.
+    """Round values to multiples of a power of two.
 
-    The last bits are then zero, so that the values compress well.
+    It is at most `grain`. The last bits are then zero, so that the values compress well.
     """
     step = np.float32(2.0 ** np.floor(np.log2(grain)))
     return np.asarray(np.round(values / step) * step, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Forces on the nodes of a scene: loads, contact forces and reactions."""
+"""Forces on nodes for arrows: loads, contact forces and reactions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tenscasadi.util.validate import Array
 
 
 def describe_scene_forces(scene: Scene, delay: float = 0.0) -> tuple[NodeForces, ...]:
-    """Describe loads and contact forces of a scene without parameters.
+    """List loads and contact forces of a scene without parameters.
 
     The clock of the scene is `delay` [s] ahead of the time of the frames.
     """
@@ -36,7 +36,10 @@ def describe_scene_forces(scene: Scene, delay: float = 0.0) -> tuple[NodeForces,
 
 
 def describe_trajectory_forces(trajectory: Trajectory) -> tuple[NodeForces, ...]:
-    """Describe loads, contact forces and reactions; none if the scene is unknown."""
+    """List loads, contact forces and reactions of a trajectory.
+
+    There are none if its scene is unknown.
+    """
     if trajectory.scene is None:
         return ()
     scene = fix(trajectory.scene, trajectory.parameters)

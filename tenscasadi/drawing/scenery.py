@@ -1,4 +1,4 @@
-"""Grounds and boxes as far as they are in view."""
+"""Visible parts of grounds and boxes in a picture."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class GroundPatch(NamedTuple):
 
 
 def grid_spacing(size: float, lines: int = STYLE.grid_lines) -> float:
-    """Choose 1, 2 or 5 times a power of ten [m].
+    """Choose a grid spacing, 1, 2 or 5 times a power of ten [m].
 
-    The result is at most `size / lines`.
+    It is at most `size / lines`.
     """
     largest = size / lines * (1 + 1e-9)
     power = 10.0 ** np.floor(np.log10(largest))
@@ -67,12 +67,15 @@ def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
 
 
 def find_floor(content: ViewContent) -> Ground:
-    """Find the level plane below all motions, for pictures without a ground."""
+    """Find the horizontal plane below all structures.
+
+    It serves pictures without a ground.
+    """
     return Ground(height=float(content.corners[0][2]) - content.bar_radius)
 
 
 def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
-    """Find the part of a ground in a box, or None.
+    """Find the part of a ground that lies in a box, or None.
 
     The corners of the box are in m.
     """
@@ -82,10 +85,10 @@ def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
 
 
 def find_box_edges(box: tuple[Array, Array], low: Array, high: Array) -> Array:
-    """Find the edges (k, 2, 3) of a box between two corners.
+    """Find the visible edges (k, 2, 3) of a box.
 
-    Sides at infinity are left out. Edges that lead there end outside the view, which is the box
-    from `low` to `high`.
+    Sides at infinity are omitted. Edges that lead there end outside the view, which is the box from
+    `low` to `high`.
     """
     reach = float((high - low).max())
     near, far = np.maximum(box[0], low - reach), np.minimum(box[1], high + reach)
@@ -135,7 +138,7 @@ def _cut_plane(ground: Ground, low: Array, high: Array) -> GroundPatch | None:
 
 
 def _cut_polygon(polygon: Array, inside: Array) -> Array:
-    """Keep the part in which a linear function is not negative.
+    """Clip a polygon to where a linear function is not negative.
 
     This is a step of the algorithm of Sutherland and Hodgman.
     """
@@ -150,7 +153,7 @@ def _cut_polygon(polygon: Array, inside: Array) -> Array:
 
 
 def cut_lines(lines: Array, low: Array, high: Array) -> Array:
-    """Cut lines (k, 2, 3) to a box by the slab method."""
+    """Clip lines (k, 2, 3) to a box by the slab method."""
     start, along = lines[:, 0], lines[:, 1] - lines[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         slabs = np.stack([(low - start) / along, (high - start) / along])

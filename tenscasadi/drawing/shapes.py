@@ -1,4 +1,7 @@
-"""Shapes of a motion at one time: members, nodes, supports and arrows."""
+"""Geometric shapes of a structure at one time.
+
+They are members, nodes, supports and force arrows.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ FORCES = {"load": "loads", "contact": "contact forces", "reaction": "reactions"}
 
 
 class DrawnShape(NamedTuple):
-    """Copies of one form.
+    """Several copies of one geometric form.
 
     Attributes
     ----------
@@ -41,7 +44,7 @@ class DrawnShape(NamedTuple):
 
 
 class MotionShapes:
-    """Shapes of one motion of a picture.
+    """Geometric shapes of one trajectory in a picture.
 
     Parameters
     ----------
@@ -83,10 +86,11 @@ class MotionShapes:
         scale: ColorScale | None = None,
         kinds: Iterable[str] = ("load", "contact"),
     ) -> list[DrawnShape]:
-        """Build bars, strings, nodes and supports, arrows of kinds of forces, and faces of bodies.
+        """Build the shapes of all members, nodes, supports and forces.
 
-        Strings are colored by the quantity of the scale; slack strings are thin, and broken
-        strings, whose tension is NaN, have no width.
+        Forces are arrows of the given kinds; rigid bodies have faces. Strings are colored by the
+        quantity of the scale; slack strings are thin, and broken strings, whose tension is NaN,
+        have no width.
         """
         motion, radius, tint = self.motion, self.radius, self.tint
         nodes, values = frame.nodes, None if scale is None else frame.values(scale.quantity)
@@ -141,9 +145,9 @@ class MotionShapes:
         return found
 
     def force_scale(self, forces: NodeForces) -> float:
-        """Compute the force of an arrow of length `reach` [N].
+        """Compute the force that an arrow of length `reach` shows [N].
 
-        It is a quantile over the motion, so that an impact does not shrink all other arrows.
+        It is a quantile over the trajectory, so that an impact does not shrink all other arrows.
         """
         if forces.name not in self._scales:
             count = len(self.motion.time)
@@ -161,11 +165,10 @@ def _fill(color: Rgb, count: int) -> Bytes:
 
 
 def choose_tint(content: ViewContent, index: int) -> Rgb | None:
-    """Choose the color of a motion.
+    """Choose the color of a trajectory.
 
-    Returns None if it is opaque and colored by its forces.
-
-    The first motion is, unless it consists of copies.
+    Returns None if it is opaque and colored by its forces. The first trajectory is, unless it
+    consists of copies.
     """
     opaque = content.motions[0].copies == 1
     if index == 0 and opaque:

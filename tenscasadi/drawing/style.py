@@ -89,7 +89,7 @@ STYLE = Style()
 
 
 def interpolate_colors(ramp: tuple[Rgb, ...], fractions: Array) -> Bytes:
-    """Interpolate colors (m, 3) of a ramp at fractions (m,) of it."""
+    """Interpolate colors (m, 3) of a color ramp at fractions (m,)."""
     steps = np.linspace(0.0, 1.0, len(ramp))
     channels = np.array(ramp, dtype=float).T
     return np.stack(

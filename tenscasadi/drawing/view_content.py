@@ -1,4 +1,4 @@
-"""Content of a picture: motions, their surroundings, and curves over time."""
+"""Content of a picture: trajectories, grounds, and curves over time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FRAMES = 3000  # of a page or a film
 
 
 class Frame(NamedTuple):
-    """Motion at one time.
+    """State of a structure at one time, for drawing.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
 
 
 class NodeForces(NamedTuple):
-    """Forces on the nodes of a motion.
+    """Forces of one kind on the nodes of a structure, for drawing.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ def list_names(structure: Structure | None, kind: str, count: int) -> tuple[str,
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Nodes of a structure over time.
+    """Trajectory of a structure's nodes and forces, for drawing.
 
     Attributes
     ----------
@@ -156,7 +156,10 @@ class Motion:
             return np.asarray(first + s**2 * (3 - 2 * s) * (second - first) + h * slope)
 
     def frame_at(self, time: float) -> Frame:
-        """Interpolate the nodes, and select the other quantities of the row before."""
+        """Build the frame at a time.
+
+        Nodes are interpolated, other quantities those of the last row before.
+        """
         row = self.row_at(time)
         velocities, tension, force_density = (
             values if values is None else values[row]
@@ -197,12 +200,12 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class ViewContent:
-    """Content of a picture.
+    """Content of a picture, independent of the drawing library.
 
     Attributes
     ----------
     motions : tuple of Motion
-        Superimposed motions, the first of them opaque.
+        Superimposed trajectories, the first of them opaque.
     grounds : tuple of Surface
         Planes and height fields.
     obstacles : tuple of (center, radius)
@@ -227,19 +230,19 @@ class ViewContent:
 
     @property
     def start(self) -> float:
-        """First time of any motion [s]."""
+        """First time of any trajectory [s]."""
         return min(motion.start for motion in self.motions)
 
     @property
     def end(self) -> float:
-        """Last time of any motion [s]."""
+        """Last time of any trajectory [s]."""
         return max(motion.end for motion in self.motions)
 
     @cached_property
     def corners(self) -> tuple[Array, Array]:
-        """Corners of a box around all motions [m].
+        """Corners of a box around all trajectories [m].
 
-        Outliers are ignored, such as the nodes of a motion that diverged.
+        Outliers are ignored, such as the nodes of a trajectory that diverged.
         """
         first = np.concatenate([motion.nodes[0] for motion in self.motions])
         first = first[np.isfinite(first).all(axis=1)]
@@ -257,7 +260,7 @@ class ViewContent:
 
     @property
     def size(self) -> float:
-        """Largest extent of all motions [m]."""
+        """Largest extent of all trajectories [m]."""
         low, high = self.corners
         return float((high - low).max())
 
@@ -280,7 +283,7 @@ class ViewContent:
 
 
 def choose_frame_times(content: ViewContent, speed: float, frames_per_second: int) -> Array:
-    """Choose the times of the frames of a film [s], including both ends.
+    """Choose the times of a film's frames [s], including both ends.
 
     `speed` is in simulated seconds per second. Raises ValueError for more than `MOST_FRAMES`.
     """

@@ -1,4 +1,4 @@
-"""Control tasks as gymnasium environments, single or vectorized.
+"""Control tasks as Gymnasium environments, single or vectorized.
 
 Import it by name. It requires ``pip install 'tenscasadi[gym]'``.
 """

@@ -1,4 +1,4 @@
-"""Ready-made tasks and their names in gymnasium."""
+"""Ready-made control tasks and their names in Gymnasium."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ TASKS: dict[str, Callable[[], Task]] = {
 
 
 def make_env(task: str, render_mode: str | None = None) -> TensegrityEnv:
-    """Make the environment of a task of `TASKS`."""
+    """Build the environment of a named task of `TASKS`."""
     return TensegrityEnv(TASKS[task](), render_mode)
 
 
 def make_vector_env(
     task: str, num_envs: int, threads: int = 1, render_mode: None = None
 ) -> TensegrityVectorEnv:
-    """Make the vectorized environment of a task of `TASKS`."""
+    """Build the vectorized environment of a named task of `TASKS`."""
     return TensegrityVectorEnv(TASKS[task](), num_envs, threads)
 
 

@@ -141,13 +141,13 @@ class TensegrityEnv(gymnasium.Env[Any, Any]):
         return self._renderer.draw(frame)
 
     def close(self) -> None:
-        """End the display."""
+        """Close the display."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
     def _show(self) -> None:
-        """Show the present state to a person, if that is the mode."""
+        """Show the present state if the render mode is "human"."""
         if self.render_mode == "human":
             self.render()
 

@@ -1,4 +1,4 @@
-"""Batch simulation of the episodes of a task."""
+"""Batch simulation of the episodes of a control task."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FARTHEST = 1e6  # m, m/s: limit of observations, because spaces must be bounded
 
 
 class Episodes:
-    """Batch of `count` episodes of a task.
+    """Batch of `count` episodes of a control task.
 
     Attributes
     ----------
@@ -99,11 +99,9 @@ class Episodes:
         self.nodes[which], self.velocities[which] = nodes, velocities
 
     def step(self, action: Array) -> tuple[Transition, Array]:
-        """Simulate one control period.
+        """Simulate one control period of all episodes.
 
-        Actions (n, α) run from −1 to 1.
-
-        Also returns the episodes that diverged (n,).
+        Actions (n, α) run from −1 to 1. Also returns which episodes diverged (n,).
         """
         task = self.task
         inputs = self._inputs(action)
@@ -156,11 +154,11 @@ class Episodes:
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
 
     def rewards(self, now: Transition, lost: Array) -> Array:
-        """Compute the rewards (n,), 0 for diverged episodes."""
+        """Compute the rewards (n,), which are 0 for diverged episodes."""
         return np.where(lost, 0.0, _per_episode("reward", self.task.reward, now))
 
     def find_ended(self, now: Transition, lost: Array) -> Any:
-        """Find the terminated episodes (n,)."""
+        """Return which episodes (n,) have terminated."""
         ended = lost.copy()
         if self.task.end_on_failure:
             internal = self.task.model.split(self.states).internal
@@ -170,14 +168,14 @@ class Episodes:
         return ended | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
-        """Compute nodes and velocities of the structure, (n, N, 3)."""
+        """Compute node positions and velocities, each (n, N, 3)."""
         count = len(self.task.model.scene.structure.nodes)
         return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[
             :, :count
         ]
 
     def _find_broken(self, nodes: Array) -> Any:
-        """Find episodes (n,) with an invalid bar length."""
+        """Return which episodes (n,) have large bar-length errors."""
         structure = self.task.model.scene.structure
         lengths = structure.bar_lengths
         error = np.abs(distances(nodes, structure.bars) - lengths)
@@ -208,7 +206,7 @@ class Episodes:
 
 
 def _read_only(array: Array) -> Array:
-    """Make a read-only view for functions of a task.
+    """Build a read-only view of an array for user-defined functions.
 
     A changed array would change the simulation.
     """
@@ -218,7 +216,7 @@ def _read_only(array: Array) -> Array:
 
 
 def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:
-    """Evaluate a function of the task per episode (n,).
+    """Evaluate a user-defined function for all episodes (n,).
 
     Raises TypeError, ValueError.
     """

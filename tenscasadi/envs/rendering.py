@@ -23,7 +23,7 @@ from tenscasadi.viewer.web.serving import open_and_wait, stop
 
 
 class Renderer(Protocol):
-    """Display of one frame after another."""
+    """Interface of displays that draw one frame after another."""
 
     def draw(self, frame: Frame) -> Any:
         """Draw a frame."""
@@ -33,24 +33,24 @@ class Renderer(Protocol):
 
 
 class ArrayRenderer:
-    """Pictures as arrays (400, 480, 3) of bytes.
+    """Display that returns pictures as arrays (400, 480, 3) of bytes.
 
-    The camera is fixed. It sees half a size of the structure around the start.
+    The camera is fixed. It shows a region half as large again as the structure around the start.
     """
 
     def __init__(self, model: Model) -> None:
         self._pictures = FramePictures(_describe_region(model))
 
     def draw(self, frame: Frame) -> Any:
-        """Draw a frame."""
+        """Draw a frame and return its picture."""
         return self._pictures.draw(frame, _color_scale(frame))
 
     def close(self) -> None:
-        """Do nothing: pictures hold no resources."""
+        """Do nothing, as pictures hold no resources."""
 
 
 class BrowserRenderer:
-    """Pictures in a browser, in real time; requires viser.
+    """Display in a browser, in real time; requires viser.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class BrowserRenderer:
         open_and_wait(self.url, lambda: None, None, False)
 
     def draw(self, frame: Frame) -> None:
-        """Show a frame, one control period after the one before."""
+        """Show a frame, one control period after the previous one."""
         time.sleep(max(0.0, self._due - time.perf_counter()))
         self._due = time.perf_counter() + self._period
         with self._server.atomic():
@@ -74,7 +74,7 @@ class BrowserRenderer:
             self._canvas.draw([frame])
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server."""
         stop(self._server)
 
 
@@ -85,7 +85,10 @@ RENDERERS: dict[str, Callable[[Model, float], Renderer]] = {
 
 
 def build_renderer(mode: str, model: Model, period: float) -> Renderer:
-    """Build the display of a render mode. Raises ValueError."""
+    """Build the display of a render mode.
+
+    Raises ValueError.
+    """
     if mode not in RENDERERS:
         known = " or ".join(map(format_value, RENDERERS))
         raise ValueError(f"render_mode is {format_value(mode)}: give {known}, or None")
@@ -95,7 +98,7 @@ def build_renderer(mode: str, model: Model, period: float) -> Renderer:
 def observe_frame(
     model: Model, state: Array, control: Array, parameters: Array, now: float
 ) -> Frame:
-    """Observe the frame of a state (nx,) at a time."""
+    """Build the frame of a state (nx,) at a time."""
     seen = observe_states(model, state[None], np.concatenate([control, parameters])[None])
     return Frame(
         np.asarray(model.nodes(state)),
@@ -112,7 +115,10 @@ def _color_scale(frame: Frame) -> ColorScale | None:
 
 
 def _describe_region(model: Model) -> ViewContent:
-    """Describe a model so that pictures cover half a size around its start."""
+    """Convert a model to picture content with space around it.
+
+    The space is half the size of the structure at each side.
+    """
     content = describe_content(model.scene)
     motion = content.motions[0]
     size = measure_extent(motion.nodes[0])

@@ -34,22 +34,22 @@ from tenscasadi.util.validate import (
 
 @dataclass(frozen=True, eq=False)
 class Transition:
-    """One control period of n episodes.
+    """Simulated control period of n episodes.
 
     Rewards and terminations are functions of it.
 
     Attributes
     ----------
     nodes, velocities : ndarray, shape (n, N, 3)
-        Nodes, m, and their velocities, m/s, at the end of the period.
+        Node positions [m] and velocities [m/s] at the end of the period.
     nodes_before, velocities_before : ndarray, shape (n, N, 3)
         The same at its start.
     control : ndarray, shape (n, α)
-        Force densities in the period, N/m, or rest lengths at its end, m.
+        Force densities in the period [N/m], or rest lengths at its end [m].
     action : ndarray, shape (n, α)
         Actions, from −1 to 1.
     time : ndarray, shape (n,)
-        Time since the start of the episode, at the end of the period, s.
+        Time since the start of the episode, at the end of the period [s].
 
     Examples
     --------
@@ -203,7 +203,7 @@ class Task:
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Lower and upper limits (α,)."""
+        """Lower and upper limits (α,) of the control."""
         return np.asarray(self.lower, dtype=float), np.asarray(self.upper, dtype=float)
 
     @property
@@ -213,7 +213,7 @@ class Task:
 
     @property
     def spread(self) -> Array:
-        """Spread of each entry of p (np,)."""
+        """Half-width of the random variation of each parameter (np,)."""
         values = np.zeros(self.model.np)
         for name, share in self.parameters.items():
             place = self.model.parameters.places[name]
@@ -222,9 +222,9 @@ class Task:
 
 
 def read_spread(field: str, value: Any) -> tuple[float, float]:
-    """Read the spreads of positions and velocities.
+    """Read the random variations of initial positions and velocities.
 
-    One number is the spread of positions. Raises TypeError, ValueError.
+    One number is that of positions. Raises TypeError, ValueError.
     """
     if nesting(value) == 0:
         return positive_number(field, value, zero=True), 0.0

@@ -1,4 +1,4 @@
-"""Export of a model as a co-simulation unit of FMI 2.0."""
+"""Export of a model as an FMU for co-simulation (FMI 2.0)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": 
 
 
 class _Variable(NamedTuple):
-    """Variable of a unit."""
+    """Input, parameter or output of an FMU."""
 
     name: str
     unit: str
@@ -116,7 +116,7 @@ def _compile(folder: Path, library: Path) -> None:
 
 
 def _list_variables(model: Model) -> Iterator[_Variable]:
-    """List inputs, parameters and outputs in the order of their references."""
+    """Yield inputs, parameters and outputs in the order of their references."""
     p, control = model.parameters.nominal, model.scene.control
     if control is not None:
         quantity = control.name.replace(" ", "_").replace("-", "_")
@@ -147,7 +147,7 @@ def _write_header(model: Model, guid: str, step: float) -> str:
 
 
 def _describe(variables: list[_Variable], guid: str) -> str:
-    """Write modelDescription.xml."""
+    """Build the text of modelDescription.xml."""
     variability = {"input": "continuous", "output": "continuous", "parameter": "tunable"}
     units = sorted({variable.unit for variable in variables})
     scalars = []

@@ -1,4 +1,4 @@
-"""C code of a co-simulation unit of FMI 2.0, beside the code of `export_c`."""
+"""C code of an FMU, in addition to the code of `export_c`."""
 
 FMU_SOURCE = r"""/* Co-simulation of FMI 2.0: steps of the exported model between the communication points. */
 #include <math.h>

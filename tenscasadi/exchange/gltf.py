@@ -1,4 +1,4 @@
-"""Export of pictures to glTF, for slides, browsers and Blender."""
+"""Export of structures to glTF 3-D files."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def export_gltf(data: Any, path: FilePath, *, time: float | None = None) -> Path
 
 
 def _list_names(motion: Motion, part: str, count: int) -> list[str]:
-    """List the names of the objects of a part, each once in a file."""
+    """Build unique object names for nodes, bars, strings or supports."""
     if part == "supports":
         return [f"support {k}" for k in range(count)]
     own, copies = motion.names[part], motion.copies
@@ -126,7 +126,10 @@ def _list_names(motion: Motion, part: str, count: int) -> list[str]:
 
 
 def _add_copies(scene: Any, mesh: Mesh, names: list[str], poses: Poses, colors: Bytes) -> None:
-    """Add copies of a mesh; those of one color share their geometry."""
+    """Add copies of a mesh to a glTF scene.
+
+    Copies of one color share their geometry.
+    """
     import trimesh
 
     for name, transform, row in zip(names, _build_transforms(poses), colors.tolist(), strict=True):
@@ -138,7 +141,10 @@ def _add_copies(scene: Any, mesh: Mesh, names: list[str], poses: Poses, colors: 
 
 
 def _build_transforms(poses: Poses) -> Array:
-    """Build the matrices (m, 4, 4) of scaled, rotated and moved copies."""
+    """Build transformation matrices (m, 4, 4) from poses.
+
+    They scale, rotate and translate copies.
+    """
     w, x, y, z = (poses.quaternions / np.linalg.norm(poses.quaternions, axis=1)[:, None]).T
     rotations = np.array(
         [
@@ -154,7 +160,7 @@ def _build_transforms(poses: Poses) -> Array:
 
 
 def _color(trimesh: Any, mesh: Mesh, color: Rgb) -> Any:
-    """Build a mesh of one material."""
+    """Build a mesh with a material of one color."""
     material = trimesh.visual.material.PBRMaterial(
         baseColorFactor=[*linearize_colors(color).tolist(), 255],
         metallicFactor=0.0,

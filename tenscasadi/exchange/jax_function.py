@@ -12,7 +12,10 @@ from tenscasadi.util.validate import MAX_COUNT, instance
 
 
 class _Instruction(NamedTuple):
-    """Instruction of a CasADi function: operation, places of its result and operands, constant."""
+    """Instruction of a CasADi function.
+
+    It has the operation, the places of its result and operands, and a constant.
+    """
 
     operation: int
     result: int
@@ -84,7 +87,10 @@ def to_jax(model: Model) -> Callable[..., Any]:
 
 
 def _expand(model: Model) -> ca.Function:
-    """Write the equations as scalar operations. Raises ValueError."""
+    """Expand the equations of motion to scalar operations.
+
+    Raises ValueError.
+    """
     try:
         function = model.ode.expand()
     except RuntimeError as error:
@@ -101,7 +107,10 @@ def _run(
     arrays: list[Any],
     operations: dict[int, Callable[..., Any]],
 ) -> dict[int, Any]:
-    """Run instructions on arrays; returns the nonzeros of the output by their places."""
+    """Execute CasADi instructions on JAX arrays.
+
+    Returns the nonzeros of the output by their places.
+    """
     work: dict[int, Any] = {}
     out: dict[int, Any] = {}
     for step in program:
@@ -127,7 +136,7 @@ def _read_instruction(function: ca.Function, k: int) -> _Instruction:
 
 
 def _list_operations(jnp: Any) -> dict[int, Callable[..., Any]]:
-    """List the functions of JAX by CasADi's operations."""
+    """Return the JAX functions for CasADi's operation codes."""
     same = "sin cos tan exp log sqrt floor ceil sinh cosh tanh expm1 log1p hypot sign"
     table = {getattr(ca, f"OP_{name.upper()}"): getattr(jnp, name) for name in same.split()}
     for name in ("asin", "acos", "atan", "asinh", "acosh", "atanh"):

@@ -1,4 +1,4 @@
-"""Readers of scenes in other programs' files, by the ending of the file."""
+"""Importers of other programs' files, by the ending of the file name."""
 
 from __future__ import annotations
 

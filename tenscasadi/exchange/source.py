@@ -1,4 +1,4 @@
-"""Files of other programs, with a list of changes."""
+"""Imported files of other programs, with a list of changes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class InexactImportWarning(UserWarning):
 
 
 class Source:
-    """File that is imported.
+    """File of another program that is imported.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Source:
     path : Path
         The file.
     changes : list of str
-        Features that were left out or changed.
+        Features that were omitted or changed.
     """
 
     def __init__(self, path: FilePath, strict: bool = True) -> None:
@@ -55,7 +55,10 @@ class Source:
         self.changes: list[str] = []
 
     def read(self, path: Path | None = None, most: int = 16_000_000) -> bytes:
-        """Read a regular file of limited size. Raises SceneFileError, FileNotFoundError."""
+        """Read a regular file of limited size.
+
+        Raises SceneFileError, FileNotFoundError.
+        """
         place = self.path if path is None else path
         if not place.exists():
             raise FileNotFoundError(2, "No such file", str(place))
@@ -74,9 +77,9 @@ class Source:
         return content
 
     def leave_out(self, error: ValueError) -> None:
-        """Leave out a feature without a counterpart.
+        """Omit a feature that has no counterpart.
 
-        Raises the error if the import is strict, with the other cure.
+        Raises the error if the import is strict, with the cure to import leniently.
         """
         if self.strict:
             cure = "give strict=False (--lenient) to import the file without it"
@@ -85,7 +88,7 @@ class Source:
         self.note(str(error).removeprefix(f"{self.path.name}, "))
 
     def note(self, change: str) -> None:
-        """List a change, once."""
+        """Add a change to the list, once."""
         if change not in self.changes:
             self.changes.append(change)
 

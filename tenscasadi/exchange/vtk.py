@@ -1,7 +1,4 @@
-"""Export of trajectories to ParaView.
-
-It writes .vtu frames and a .pvd file.
-"""
+"""Export of trajectories to ParaView, as .vtu frames and a .pvd file."""
 
 from __future__ import annotations
 
@@ -131,7 +128,7 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
 def _frame(
     meshio: Any, run: Trajectory, row: int, bar_force_density: Array, hulls: list[Indices]
 ) -> Any:
-    """Build the mesh of one saved time."""
+    """Build the mesh of one saved time for ParaView."""
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
     lengths = [distances(nodes, pairs) for pairs in (run.bars, run.strings)]

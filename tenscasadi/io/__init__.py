@@ -1,1 +1,1 @@
-"""Scene files: documents, their sections, and their JSON Schema."""
+"""Scene files: parsing, tables, and their JSON Schema."""

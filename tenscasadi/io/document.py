@@ -1,4 +1,4 @@
-"""Scene files as data, with includes and declared numbers."""
+"""Parsed scene files, with includes and declared numbers."""
 
 from __future__ import annotations
 
@@ -33,11 +33,9 @@ LARGEST_FILE = 16_000_000  # bytes of a file with its includes
 
 
 class Change(NamedTuple):
-    """Change of a scene file by an option.
+    """Change of a scene file by a command-line option.
 
-    The key is dotted, and the value is TOML.
-
-    A value that is no TOML is text.
+    The key is dotted, and the value is TOML. A value that is no TOML is text.
     """
 
     option: str
@@ -111,7 +109,7 @@ def _format_change(change: Change) -> str:
 
 
 class _Reader:
-    """Reader of a file and its includes, with limited size."""
+    """Reader of a scene file and its includes, with limited size."""
 
     def __init__(self) -> None:
         self.sources: list[tuple[str, str]] = []
@@ -120,7 +118,7 @@ class _Reader:
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> dict[str, Any]:
         """Read a file with its includes.
 
-        The files `above` include it.
+        The files `above` include it, directly or indirectly.
         """
         content = self._load(path, name)
         own = self.parse(name, content, path.suffix[1:])
@@ -141,7 +139,7 @@ class _Reader:
         return _merge(data, own)
 
     def parse(self, name: str, text: str, language: str) -> dict[str, Any]:
-        """Parse a text and count its values.
+        """Parse a text, and limit the number of its values.
 
         Raises SceneFileError.
         """
@@ -190,11 +188,9 @@ def _check_head(document: Document) -> None:
 
 
 def _find_included(item: Item, folder: Path) -> Path:
-    """Find an included file.
+    """Find the path of an included file.
 
-    It is in the folder of the including file or below.
-
-    Raises SceneFileError.
+    It is in the folder of the including file or below. Raises SceneFileError.
     """
     name = item.text('the name of a file, such as "mast.toml"')
     parts = name.split("/")
@@ -219,9 +215,9 @@ def _find_included(item: Item, folder: Path) -> Path:
 
 
 def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge tables key by key.
+    """Merge two tables key by key.
 
-    A table of another kind or shape replaces the whole table.
+    A table with another `kind` or `shape` replaces the whole table.
     """
     merged = dict(data)
     for name, value in over.items():
@@ -232,7 +228,7 @@ def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compute_numbers(document: Document) -> dict[str, float]:
-    """Compute the declared numbers, each after those that it names.
+    """Compute the declared numbers, some of which refer to others.
 
     Raises SceneFileError.
     """

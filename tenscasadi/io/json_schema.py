@@ -22,7 +22,7 @@ _INCLUDE: Schema = {
 def scene_schema(sections: Mapping[str, Definition]) -> dict[str, Any]:
     """Build the JSON Schema of scene files.
 
-    `sections` are those beside [structure] and [scene].
+    `sections` are the tables besides [structure] and [scene].
     """
     kinds: Schemas = {}
     known: Mapping[str, FieldType | Definition]

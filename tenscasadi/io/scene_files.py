@@ -1,4 +1,4 @@
-"""Scenes in files: reading and writing without loss."""
+"""Reading and writing of scene files without loss."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def save_scene(scene: Any, path: FilePath) -> Path:
 
 
 def read_scene(document: Document) -> Scene:
-    """Read [structure] and [scene].
+    """Read the tables [structure] and [scene].
 
     Raises SceneFileError.
     """
@@ -121,7 +121,7 @@ def read_scene(document: Document) -> Scene:
 
 @singledispatch
 def write_tables(value: Any) -> dict[str, Any]:
-    """Write the tables of a value of a registered class.
+    """Convert a scene or a simulation to tables of a scene file.
 
     Raises NotWritten, TypeError.
     """
@@ -132,7 +132,7 @@ def write_tables(value: Any) -> dict[str, Any]:
 
 @write_tables.register
 def write_scene(scene: Scene) -> dict[str, Any]:
-    """Write [structure] and [scene].
+    """Convert a scene to the tables [structure] and [scene].
 
     Raises NotWritten.
     """

@@ -1,4 +1,4 @@
-"""Section [structure]: a named shape, or nodes, bars and strings."""
+"""Table [structure]: a named shape, or nodes, bars and strings."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _DERIVED = TableOf(
 
 @dataclass(frozen=True)
 class _Placement:
-    """Changes of a structure that files may ask for.
+    """Translation and other changes of a structure in a file.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ OPTIONS = {name: own for name, own in NODES.fields.items() if name not in _FIRST
 
 
 def find_shapes() -> dict[str, Definition]:
-    """Find the definitions of all shapes.
+    """Return the file formats of all shapes.
 
     They have their own arguments and the options of `Structure`.
     """
@@ -109,10 +109,10 @@ def find_shapes() -> dict[str, Definition]:
 
 @dataclass(frozen=True)
 class StructureSection(FieldType):
-    """The table [structure]."""
+    """Field type of the table [structure]."""
 
     def read(self, item: Item) -> Structure:
-        """Read the structure.
+        """Read the structure from the table.
 
         Raises SceneFileError.
         """
@@ -128,7 +128,7 @@ class StructureSection(FieldType):
         return _read_shape(known[name.value], item, table)
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Write nodes, bars and strings."""
+        """Convert a structure to nodes, bars and strings."""
         fields = dict(value.to_fields())
         if all(axes == "xyz" for axes in value.pinned.values()):
             fields["pinned"] = list(value.pinned)
@@ -140,38 +140,41 @@ class StructureSection(FieldType):
         return {name: content for name, content in written.items() if content not in ([], {})}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of nodes and of shapes."""
+        """Build the JSON Schema of nodes and of shapes."""
         return {"anyOf": [NODES.schema(kinds), _build_shape_schema(kinds)]}
 
 
 @dataclass(frozen=True)
 class OfStructure(FieldType):
-    """Attribute of a structure by its ``shape``, or another type."""
+    """Field type of a structure's attribute, or of another type.
+
+    In files the structure is given by its ``shape``.
+    """
 
     take: Literal["nodes", "string_lengths"]
     other: FieldType
 
     def read(self, item: Item) -> Any:
-        """Read the attribute of the structure, or the other type."""
+        """Read the attribute of a structure, or the other type."""
         if isinstance(item.value, dict) and "shape" in item.value:
             return getattr(StructureSection().read(item), self.take)
         return self.other.read(item)
 
     def write(self, value: Any) -> Any:
-        """Write the other type."""
+        """Write the value by the other type."""
         return self.other.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of both."""
+        """Build the JSON Schema of a shape or the other type."""
         return {"anyOf": [self.other.schema(kinds), _build_shape_schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by the other type."""
+        """Replace names by indices, by the other type."""
         return self.other.resolve(field, value, names)
 
 
 def _build_shape_schema(kinds: Schemas) -> Schema:
-    """Add the schemas of all shapes to `kinds`."""
+    """Add the JSON Schemas of all shapes to `kinds`."""
     if "NamedShape" not in kinds:
         shapes = [shape.schema(kinds, tagged=True) for shape in find_shapes().values()]
         several = {"type": "object", "discriminator": {"propertyName": "shape"}, "oneOf": shapes}
@@ -243,7 +246,7 @@ def _build(
     table: Mapping[str, Item],
     groups: Groups,
 ) -> Structure:
-    """Build a structure, set its rest lengths, and place it.
+    """Build a structure, set its rest lengths, and move it into place.
 
     Raises SceneFileError.
     """

@@ -1,4 +1,4 @@
-"""Field types of [structure]: nodes, member groups and properties."""
+"""Field types of the table [structure]."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PAIRS = ListOf(Members("node"))
 
 @dataclass(frozen=True)
 class Turn(Value, kind="Turn"):
-    """A rotation about an axis through the origin.
+    """Rotation about an axis through the origin, in files.
 
     Parameters
     ----------
@@ -59,11 +59,10 @@ class Turn(Value, kind="Turn"):
 
 @dataclass(frozen=True)
 class PerItem(FieldType):
-    """Property of nodes, bars or strings.
+    """Field type of a property of nodes, bars or strings.
 
-    It is a number for all, a list, or a table of some of them.
-
-    Items that a table does not name have the number `others`. If it is infinite, numbers may be.
+    It is a number for all, a list, or a table of some of them. Items that a table does not name
+    have the number `others`. If it is infinite, numbers may be.
     """
 
     which: ItemKind
@@ -86,7 +85,7 @@ class PerItem(FieldType):
         return values[0] if alike else values
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a number, list or table."""
+        """Build the JSON Schema of a number, list or table."""
         return for_items(self.which, NUMBER, self._numbers).schema(kinds)
 
     @property
@@ -96,7 +95,7 @@ class PerItem(FieldType):
 
 @dataclass(frozen=True)
 class MemberGroups(FieldType):
-    """Pairs of nodes, or named groups of them.
+    """Field type of bars or strings, as node pairs or named groups.
 
     A group is a list of pairs, or a table with `members` and properties.
     """
@@ -143,7 +142,7 @@ class MemberGroups(FieldType):
         return np.asarray(value).tolist()
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of pairs or groups."""
+        """Build the JSON Schema of pairs or groups."""
         pairs = PAIRS.schema(kinds)
         own = {name: PER_ITEM.schema(kinds) for name in self.properties}
         group = {
@@ -157,7 +156,7 @@ class MemberGroups(FieldType):
 
 
 class MembersRead(NamedTuple):
-    """Bars or strings of a file.
+    """Bars or strings that were read from a file.
 
     `groups` are names and sizes. `properties` are indices, item and value of each group.
     """
@@ -168,7 +167,7 @@ class MembersRead(NamedTuple):
 
 
 class NodeTable(FieldType):
-    """Positions in a list, or by name in a table."""
+    """Field type of node positions, in a list or by name in a table."""
 
     def read(self, item: Item) -> tuple[list[Any], list[str]]:
         """Read the positions, and their names."""
@@ -188,7 +187,7 @@ class NodeTable(FieldType):
         return POINTS.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a list or a table."""
+        """Build the JSON Schema of a list or a table."""
         return {"anyOf": [POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
 
 

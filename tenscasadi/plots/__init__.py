@@ -1,4 +1,4 @@
-"""Pictures as matplotlib figures, drawn without pyplot."""
+"""Figures and animations by matplotlib, drawn without pyplot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Animations of motions as GIF or mp4 files."""
+"""Animations of trajectories as GIF or mp4 files."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def animate(
     title: str = "",
     progress: bool = False,
 ) -> Path:
-    """Write a motion as an animated GIF or as an mp4 film.
+    """Write a trajectory as an animated GIF or an mp4 film.
 
-    Strings are colored by tension, with one scale for the whole motion.
+    Strings are colored by tension, with one scale for the whole trajectory.
 
     Parameters
     ----------
@@ -116,7 +116,10 @@ def animate(
 
 @contextmanager
 def _open_writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
-    """Open the writer of a film. Raises ImportError, OSError."""
+    """Open the writer of a film file.
+
+    Raises ImportError, OSError.
+    """
     if target.suffix.lower() == ".gif":
         yield PillowWriter(fps=rate)
         return

@@ -1,4 +1,4 @@
-"""3-D axes that show the content of a picture.
+"""3-D axes of matplotlib for structures.
 
 All axes have the same scale. Members are sorted by depth, so that near ones cover far ones.
 """
@@ -30,7 +30,7 @@ _PIECES = 9  # of each member, so that two crossing ones are sorted where they c
 
 
 class Canvas3D:
-    """3-D axes for one picture.
+    """3-D axes of matplotlib for one picture.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class Canvas3D:
         self._add_surroundings(content, center - self._half, center + self._half)
 
     def draw(self, shapes: Iterable[DrawnShape]) -> None:
-        """Replace the drawn shapes."""
+        """Draw shapes in place of the present ones."""
         for artist in self._drawn:
             artist.remove()
         self._drawn = []
@@ -106,7 +106,7 @@ class Canvas3D:
         return bar
 
     def fit(self) -> None:
-        """Zoom and move the axes until they fill their place with their labels.
+        """Zoom and move the axes until they fill the figure with their labels.
 
         Call it last, once.
         """

@@ -1,4 +1,4 @@
-"""Charts: curves over time with labels beside them, limits and shaded intervals."""
+"""Charts of curves over time, with labels, limits and shaded intervals."""
 
 from __future__ import annotations
 
@@ -58,9 +58,8 @@ def draw_chart(ax: Axes, chart: Chart) -> None:
 def draw_svg(chart: Chart, width: float, height: float) -> tuple[str, tuple[float, float]]:
     """Draw a chart as SVG text.
 
-    Also returns the fractions of its width at the first and the last time.
-
-    `width` and `height` are in inches.
+    `width` and `height` are in inches. Also returns the positions of the first and the last time as
+    fractions of its width.
     """
     with mpl.rc_context({"svg.fonttype": "none", "font.size": 7.0, "path.simplify": True}):
         figure = Figure(figsize=(width, height), layout="constrained")
@@ -76,7 +75,10 @@ def draw_svg(chart: Chart, width: float, height: float) -> tuple[str, tuple[floa
 
 
 def _reduce(chart: Chart, curves: int = 40, rows: int = 300) -> Chart:
-    """Select rows and the largest curves for a small file."""
+    """Reduce a chart to few rows and the largest curves.
+
+    This keeps files small.
+    """
     count = chart.values.shape[1]
     reach = np.abs(np.nan_to_num(chart.values)).max(axis=0, initial=0.0)
     chosen = np.sort(np.argsort(-reach, kind="stable")[:curves])
@@ -94,11 +96,10 @@ def _reduce(chart: Chart, curves: int = 40, rows: int = 300) -> Chart:
 
 
 def group_curves(values: Array) -> Groups:
-    """Group columns of values (T, m) that coincide.
+    """Group columns of values (T, m) that nearly coincide.
 
-    The tolerance is 0.5 % of their range.
-
-    Members of a symmetric structure are in one group if they move alike.
+    The tolerance is 0.5 % of their range. Members of a symmetric structure with equal curves are in
+    one group.
     """
     rows = np.unique(np.linspace(0, len(values) - 1, min(len(values), 200)).astype(int))
     some = np.nan_to_num(values[rows])
@@ -124,9 +125,9 @@ def _choose_colors(chart: Chart, groups: Groups) -> list[str]:
 
 
 def _draw_limits(ax: Axes, chart: Chart, groups: Groups, colors: list[str]) -> None:
-    """Draw dashed limits, and the range between common ones as a band.
+    """Draw limits as dashed lines, or as a band between common ones.
 
-    Limits far off are only written: they would flatten the curves.
+    Limits far away are only written, as they would flatten the curves.
     """
     known = chart.values[np.isfinite(chart.values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
@@ -202,9 +203,9 @@ def _join_names(names: list[str]) -> str:
 
 
 def _widen(ax: Axes) -> None:
-    """Widen the axis of a constant.
+    """Widen the vertical axis of a constant curve.
 
-    Its rounding errors would look like motion.
+    Otherwise its rounding errors would fill the chart.
     """
     low, high = ax.get_ylim()
     if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):

@@ -140,7 +140,10 @@ def _label_points(curves: Any) -> dict[str, Points]:
 
 
 def _points(field: str, points: Any) -> Points:
-    """Check points. Raises TypeError, ValueError."""
+    """Check a list of points (error, cost).
+
+    Raises TypeError, ValueError.
+    """
     pairs = as_tuple(field, points, "[(1e-3, 0.1)]")
     if not pairs:
         return []
@@ -151,9 +154,9 @@ def _points(field: str, points: Any) -> Points:
 
 
 def _find_resolved(points: Points, smallest: float) -> list[tuple[float, float]]:
-    """Sort points by cost.
+    """Sort points (error, cost) by cost.
 
-    Of those with errors up to `smallest` only the cheapest is kept, and moved there.
+    Of those with errors up to `smallest` only the cheapest is used, with this error.
     """
     beyond = sorted((cost, smallest) for error, cost in points if error <= smallest)[:1]
     return [
@@ -163,11 +166,11 @@ def _find_resolved(points: Points, smallest: float) -> list[tuple[float, float]]
 
 
 class Iteration(Protocol):
-    """Iteration of a solver, such as an `ocp.Progress`."""
+    """Interface of a solver's iteration, such as `ocp.Progress`."""
 
     @property
     def iteration(self) -> int:
-        """Its number."""
+        """Number of the iteration."""
 
     @property
     def objective(self) -> float:
@@ -215,7 +218,7 @@ class Convergence:
         self._display: Any = None  # the chart's place in a notebook
 
     def __call__(self, now: Iteration) -> None:
-        """Record an iteration, and draw all if it is time."""
+        """Record an iteration, and redraw the chart from time to time."""
         if not all(hasattr(now, name) for name in ("iteration", "objective", "infeasibility")):
             raise TypeError(f"now is {format_value(now)}: give an ocp.Progress")
         self._iterations.append(now)

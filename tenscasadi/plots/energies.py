@@ -1,4 +1,4 @@
-"""Energies and phase portraits of a motion."""
+"""Energies and phase portraits of a trajectory."""
 
 from __future__ import annotations
 

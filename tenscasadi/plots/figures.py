@@ -1,4 +1,4 @@
-"""3-D pictures of structures, scenes, motions and plans.
+"""3-D figures of structures, scenes, trajectories and plans.
 
 No window opens and no global state of matplotlib changes: pyplot is not used.
 """
@@ -122,7 +122,7 @@ def time_lapse(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw a motion in one 3-D picture, at several times.
+    """Draw a trajectory at several times in one 3-D picture.
 
     The color shows the time, from pale at the start to dark at the end.
 
@@ -196,7 +196,7 @@ def _find_row(motion: Motion, time: float) -> int:
 
 
 def _select_rows(content: ViewContent, rows: Indices) -> ViewContent:
-    """Keep some rows of the first motion, without other motions."""
+    """Select some times of the first trajectory, without others."""
     motion = content.motions[0]
     names = ("time", "nodes", "velocities", "tension", "force_density")
     given = {name: getattr(motion, name) for name in names}

@@ -15,7 +15,7 @@ from tenscasadi.plots.canvas3d import Canvas3D
 
 
 class FramePictures:
-    """Pictures of the frames of a motion, from one fixed camera.
+    """Pictures of a trajectory's frames, from one fixed camera.
 
     Parameters
     ----------

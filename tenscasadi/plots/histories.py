@@ -1,4 +1,4 @@
-"""Quantities of a motion over time."""
+"""Curves of a trajectory's quantities over time."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ EXAMPLE = "a tenscasadi.Trajectory, such as plan.trajectory or plan.replay()"
 
 
 class ForceHistory(Protocol):
-    """Force densities over time, as in a `Trajectory` or a plan.
+    """Interface of force densities over time.
+
+    A `Trajectory` or a plan has them.
 
     Attributes
     ----------
@@ -294,7 +296,10 @@ def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float],
 def choose_nodes(
     trajectory: Trajectory, nodes: Sequence[int | str] | None
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Select nodes by index or name, by default those that move, with their names."""
+    """Select nodes by index or name, with their names.
+
+    By default they are the nodes that move most.
+    """
     given = _find_moving_nodes(trajectory) if nodes is None else nodes
     return choose_items(trajectory, "node", given, trajectory.nodes.shape[1])
 
@@ -302,7 +307,10 @@ def choose_nodes(
 def choose_items(
     history: Any, kind: Literal["node", "string"], items: Sequence[int | str] | None, count: int
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Select items of a kind, by default all, with their names."""
+    """Select nodes or strings by index or name, with their names.
+
+    By default all are selected.
+    """
     scene, field = getattr(history, "scene", None), f"{kind}s"
     structure = None if scene is None else scene.modelled
     names, known = list_names(structure, kind, count), names_of(structure, **{kind: count})
@@ -325,7 +333,10 @@ def _describe_smallness(values: Array, bottom: float) -> str:
 
 
 def _find_moving_nodes(trajectory: Trajectory) -> list[int]:
-    """Find the nodes that move furthest, at most 12, in their order."""
+    """Find up to 12 nodes with the largest displacements.
+
+    They are in the order of their indices.
+    """
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
     order = np.argsort(-way, kind="stable")[:MOST_LISTED]
     return sorted(int(node) for node in order if way[node] > 0) or [int(order[0])]

@@ -1,4 +1,4 @@
-"""Load paths: the factor of a load over displacements and tensions."""
+"""Figures of load paths: load factor over displacement."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tenscasadi.util.validate import Array, FilePath, instance
 
 
 def load_path(load_path: LoadPath, *, title: str = "", path: FilePath | None = None) -> Figure:
-    """Draw a load path: factor and member forces over the largest displacement.
+    """Draw load factor and member forces over the largest displacement.
 
     Stable equilibria are solid, unstable ones dotted. Marks show limit points and bifurcations.
 
@@ -73,7 +73,10 @@ def load_path(load_path: LoadPath, *, title: str = "", path: FilePath | None = N
 
 
 def _largest_motion(nodes: Array) -> tuple[int, int]:
-    """Find the coordinate (node, axis) that moves most along a path (T, n, 3)."""
+    """Find the coordinate with the largest displacement along a path.
+
+    The nodes are (T, n, 3). Returns node and axis.
+    """
     if not len(nodes):
         return 0, 0
     extent = np.ptp(nodes, axis=0)

@@ -1,4 +1,4 @@
-"""Panels of curves in one style, and figures as files."""
+"""Panels of curves in a common style, and figure files."""
 
 from __future__ import annotations
 
@@ -53,7 +53,8 @@ def css_color(k: int) -> str:
 def add_legend(figure: Figure, ax: Axes, count: int) -> None:
     """Add a legend of `count` curves beside the panels.
 
-    It is below them if names are long. More than two columns of curves are only counted.
+    It is below them if names are long. If it needed more than two columns, only the number is
+    written.
     """
     if count > 2 * MOST_LISTED:
         place: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "top"}

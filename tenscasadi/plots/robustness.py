@@ -16,7 +16,7 @@ from tenscasadi.util.validate import Array, FilePath, format_value, text
 
 
 class ReplayErrors(Protocol):
-    """Errors of many replays, as in `ocp.Robustness`.
+    """Interface of errors of many replays, as in `ocp.Robustness`.
 
     Attributes
     ----------
@@ -121,7 +121,10 @@ def robustness(
 
 
 def _read_errors(data: Any) -> dict[str, ReplayErrors]:
-    """Check the results to draw. Raises TypeError, ValueError."""
+    """Check the results to draw.
+
+    Raises TypeError, ValueError.
+    """
     several = dict(data) if isinstance(data, Mapping) else {"": data}
     if not several:
         raise ValueError("data is empty: give the result of plan.robustness(...)")

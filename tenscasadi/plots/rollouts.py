@@ -1,4 +1,4 @@
-"""Statistics of rollouts: fans of node paths, and histograms."""
+"""Statistics of rollouts: quantiles over time, and histograms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of forces at rest and of soft motions."""
+"""Figures of forces in equilibrium and of displacement modes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,9 @@ def mode_shapes(
     title: str = "",
     path: FilePath | None = None,
 ) -> Figure:
-    """Draw motions of a structure side by side, over the structure in gray.
+    """Draw displacement modes of a structure side by side.
+
+    The undisplaced structure is gray.
 
     Parameters
     ----------
@@ -183,17 +185,20 @@ def mode_shapes(
 
 
 def _add_reactions(content: ViewContent, forces: Array) -> ViewContent:
-    """Add reactions (n, 3) [N] to the only motion."""
+    """Add reactions (n, 3) [N] as arrows to the picture."""
     arrows = NodeForces("reaction", lambda _: forces)
     return replace(content, motions=(replace(content.motions[0], forces=(arrows,)),))
 
 
 def _color(members: DrawnShape, size: float, share: Array) -> DrawnShape:
-    """Color members by their share (m,) of the largest force, and scale their width."""
+    """Color members by fractions (m,) of the largest force.
+
+    Their width is scaled, too.
+    """
     radius = size * (_THINNEST + (_WIDEST - _THINNEST) * np.sqrt(np.abs(share)))
     return members._replace(colors=interpolate_colors(_SIGNS, 0.5 + 0.5 * share), radius=radius)
 
 
 def _thin(shapes: list[DrawnShape], radius: float) -> list[DrawnShape]:
-    """Give members one radius [m]."""
+    """Give all members the same radius [m]."""
     return [shape._replace(radius=np.full(len(shape.points), radius)) for shape in shapes]

@@ -1,1 +1,1 @@
-"""Values that define their fields, checks, texts and files."""
+"""Classes whose fields define their checks, texts and files."""

@@ -1,4 +1,4 @@
-"""Field types of tables and alternatives."""
+"""Field types of tables, and of alternatives between two types."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from tenscasadi.util.validate import format_value
 
 @dataclass(frozen=True)
 class MapOf(FieldType):
-    """Table from nodes, bars or strings to values.
+    """Field type of a table from nodes, bars or strings to values.
 
-    A group stands for all its members.
+    The name of a group stands for all its members.
     """
 
     which: ItemKind
@@ -41,11 +41,11 @@ class MapOf(FieldType):
         return {str(key.write(index)): self.type.write(entry) for index, entry in value.items()}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of an object with any keys."""
+        """Build the JSON Schema of an object with any keys."""
         return {"type": "object", "additionalProperties": self.type.schema(kinds)}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names among keys, and in the values."""
+        """Replace names by indices, among keys and in values."""
         return names.resolve_keys(
             field, self.which, _resolve_values(field, value, lambda word: self.type, names)
         )
@@ -53,7 +53,7 @@ class MapOf(FieldType):
 
 @dataclass(frozen=True)
 class TableOf(FieldType):
-    """A table from words to values.
+    """Field type of a table from words to values.
 
     Parameters
     ----------
@@ -77,14 +77,14 @@ class TableOf(FieldType):
         return {str(word): self._type(word).write(entry) for word, entry in dict(value).items()}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of an object."""
+        """Build the JSON Schema of an object."""
         if isinstance(self.type, FieldType):
             return {"type": "object", "additionalProperties": self.type.schema(kinds)}
         entries = {word: own.schema(kinds) for word, own in self.type.items()}
         return {"type": "object", "properties": entries, "additionalProperties": False}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace the names in the values."""
+        """Replace names by indices in the values."""
         return _resolve_values(field, value, self._type, names)
 
     def _type(self, word: str) -> FieldType:
@@ -94,7 +94,7 @@ class TableOf(FieldType):
 def _resolve_values(
     field: str, value: Any, choose: Callable[[Any], FieldType], names: Names
 ) -> Any:
-    """Replace the names in the values of a mapping.
+    """Replace names by indices in the values of a mapping.
 
     `choose` finds the type of the value of a key.
     """
@@ -109,9 +109,9 @@ def _resolve_values(
 
 @dataclass(frozen=True)
 class Either(FieldType):
-    """One of two types.
+    """Field type that is one of two types.
 
-    The first is for values of some classes, in files and in Python.
+    The first is for values of some Python classes, the other for all else.
 
     Parameters
     ----------
@@ -129,19 +129,19 @@ class Either(FieldType):
     unless: str = ""
 
     def read(self, item: Item) -> Any:
-        """Read the type that fits."""
+        """Read an entry by the type that fits."""
         return self._choose(item.value).read(item)
 
     def write(self, value: Any) -> Any:
-        """Write the type that fits."""
+        """Write a value by the type that fits."""
         return self._choose(value).write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of both."""
+        """Build the JSON Schema that permits both types."""
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by the type that fits."""
+        """Replace names by indices, by the type that fits."""
         return self._choose(value).resolve(field, value, names)
 
     def _choose(self, value: Any) -> FieldType:
@@ -150,13 +150,13 @@ class Either(FieldType):
 
 
 def for_items(which: ItemKind, type: FieldType, other: FieldType) -> Either:
-    """Build the type of a table by item, or another type."""
+    """Build the type of a table by nodes, bars or strings, or another type."""
     return Either((Mapping,), MapOf(which, type), other)
 
 
 @dataclass(frozen=True)
 class NodeForceTable(FieldType):
-    """Forces of all or some nodes, also over time."""
+    """Field type of forces on all or some nodes, also over time."""
 
     def read(self, item: Item) -> Any:
         """Read forces (n, 3), (K, n, 3) or a function of time."""
@@ -186,10 +186,10 @@ class NodeForceTable(FieldType):
         return {str(node): array[node].tolist() for node in some}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Convert forces by node to rows."""
+        """Convert a mapping of forces by node to an array."""
         over_time = isinstance(value, Mapping) and any(np.ndim(row) > 1 for row in value.values())
         return names.place_rows(field, value, (None, 3) if over_time else (3,))
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of rows or a table."""
+        """Build the JSON Schema of an array or a table."""
         return for_items("node", varying(3), varying(None, 3)).schema(kinds)

@@ -1,4 +1,4 @@
-"""Definitions of values from types, defaults and docstrings."""
+"""File formats of classes, derived from annotations, defaults and docstrings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from tenscasadi.util.validate import format_value
 
 
 class Field(NamedTuple):
-    """Field of a definition.
+    """Field of a class: type, default and description in files.
 
     `default` is MISSING for required fields.
     """
@@ -51,14 +51,14 @@ class Field(NamedTuple):
     text: str = ""
 
     def write_default(self) -> list[Any]:
-        """Write the default as a list of at most one."""
+        """Return the default in file form, as a list of at most one entry."""
         none = self.default is None or self.default is MISSING
         return [] if none else [self.type.write(self.default)]
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A kind of value.
+    """File format of a class: its fields and their types.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ class Definition:
 
     @property
     def short(self) -> str:
-        """Field that stands for the whole value if given alone."""
+        """Field that stands for the whole object if given alone."""
         return str(getattr(self.build, "short", ""))
 
     @property
     def needed(self) -> list[str]:
-        """Fields without a default."""
+        """Names of the required fields."""
         return [name for name, field in self._in_files() if field.default is MISSING]
 
     def _in_files(self) -> list[tuple[str, Field]]:
@@ -92,9 +92,9 @@ class Definition:
         return [(name, field) for name, field in own if not isinstance(field.type, InPython)]
 
     def read(self, item: Item, **more: Any) -> Any:
-        """Read a value; `more` are fields of other tables.
+        """Read an object from a table.
 
-        Raises SceneFileError.
+        `more` are fields from other tables. Raises SceneFileError.
         """
         if self.short and not isinstance(item.value, dict):
             table = {self.short: item}
@@ -121,7 +121,7 @@ class Definition:
         return {name: known[name].type.read(item) for name, item in named.items()}
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Write a value as a table without its defaults.
+        """Convert an object to a table without its default values.
 
         Raises NotWritten.
         """
@@ -141,7 +141,7 @@ class Definition:
         return written
 
     def schema(self, kinds: Schemas, tagged: bool = False) -> Schema:
-        """Add the JSON Schema to `kinds` and refer to it.
+        """Add the JSON Schema to `kinds`, and return a reference to it.
 
         Tables that are `tagged` have to name their kind.
         """
@@ -184,9 +184,9 @@ def definition(
     tag: str = "",
     types: tuple[tuple[str, FieldType], ...] = (),
 ) -> Definition:
-    """Derive the definition of a class or function.
+    """Derive the file format of a class or function.
 
-    `types` take the place of annotations.
+    `types` replace the annotations.
     """
     known, texts = dict(types), parameter_texts(build)
     hints = {} if known else get_type_hints(build, include_extras=True)
@@ -222,7 +222,7 @@ _LISTS = (Sequence, Iterable, list, tuple)
 def field_type(hint: Any, name: str) -> FieldType:
     """Derive the type of a field from its annotation.
 
-    Raises TypeError if it has to be given.
+    Raises TypeError if that is impossible.
     """
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
@@ -250,16 +250,17 @@ def field_type(hint: Any, name: str) -> FieldType:
 
 @dataclass(frozen=True)
 class OneOf(FieldType):
-    """Value of a family: a table with ``kind``, or the kind.
+    """Field type of an object of any class of a family.
 
-    A table without the key is of the only kind, or of the implied one.
+    In files it is a table with the key ``kind``, or the kind alone. A table without the key is of
+    the only kind, or of the implied one.
     """
 
     family: type[Value]
 
     @property
     def definitions(self) -> Mapping[str, Definition]:
-        """Definitions of the members of the family, by kind."""
+        """File formats of the classes of the family, by kind."""
         return {
             kind: definition(own, kind, "kind")  # type: ignore[arg-type]  # functions and classes hash
             for kind, own in sorted(self.family.members.items())
@@ -267,7 +268,7 @@ class OneOf(FieldType):
         }
 
     def read(self, item: Item) -> Any:
-        """Read the value."""
+        """Read an object of any class of the family."""
         known, value = self.definitions, item.value
         alone = next(iter(known.values())) if len(known) == 1 else known.get(self.family.implied)
         short = alone is not None and alone.short
@@ -287,7 +288,7 @@ class OneOf(FieldType):
         return known[kind].read(rest)
 
     def write(self, value: Any) -> Any:
-        """Write a table, or the kind alone if that suffices."""
+        """Write a table, or the kind alone if that is sufficient."""
         known = self.definitions
         own = known.get(getattr(type(value), "kind", ""))
         if own is None or own.build is not type(value):
@@ -302,7 +303,7 @@ class OneOf(FieldType):
         return table if set(table) - {"kind"} else own.kind
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Add the schemas of the family and its kinds to `kinds`."""
+        """Add the JSON Schemas of all classes of the family to `kinds`."""
         known, name = (
             self.definitions,
             _schema_name(self.family, self.family.__name__.removeprefix("Named")),
@@ -320,7 +321,7 @@ class OneOf(FieldType):
         return {"$ref": f"#/$defs/{name}"}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace the names in the fields of a value."""
+        """Replace names by indices in the fields of an object."""
         return resolve_names(value, names)
 
 
@@ -328,9 +329,10 @@ T = TypeVar("T")
 
 
 def resolve_names(value: T, names: Names) -> T:
-    """Replace the names of nodes, bars and strings in the fields of a value by indices.
+    """Replace names by indices in the fields of an object.
 
-    Values without names are returned unchanged. Raises TypeError, ValueError.
+    They are names of nodes, bars and strings. Objects without names are returned unchanged. Raises
+    TypeError, ValueError.
     """
     kinds = [own for own in type(value).__mro__ if issubclass(own, Value) and own.kind]
     if not isinstance(value, Value) or not kinds:
@@ -342,7 +344,10 @@ def resolve_names(value: T, names: Names) -> T:
 
 
 def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> dict[str, Any]:
-    """Replace names in the fields of a definition; returns the fields that change."""
+    """Replace names by indices in given field values.
+
+    Returns the fields that change.
+    """
     found = {
         name: field.type.resolve(f"{own.kind}.{name}", given[name], names)
         for name, field in own.fields.items()
@@ -352,7 +357,7 @@ def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> d
 
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:
-    """Extract the text of each parameter from a numpydoc docstring."""
+    """Extract the parameter descriptions from a numpydoc docstring."""
     section = re.search(
         r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)",
         inspect.getdoc(build) or "",

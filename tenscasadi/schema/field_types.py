@@ -1,4 +1,4 @@
-"""Field types that read, write and describe values."""
+"""Field types: conversion between files and Python, checks, JSON Schema."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ _FORMULA = "a number, or a formula in quotes such as 'height / 2 * cos(30 deg)'"
 
 
 class FieldType(ABC):
-    """Type of a field."""
+    """Base class of field types.
+
+    A field type reads, writes, checks and describes the values of a field.
+    """
 
     @abstractmethod
     def read(self, item: Item) -> Any:
@@ -43,24 +46,24 @@ class FieldType(ABC):
         """Build the JSON Schema; definitions are added to `kinds`."""
 
     def check(self, field: str, value: Any) -> Any:
-        """Check a Python value, see `check_fields`; most are checked by their class.
+        """Check a Python value, see `check_fields`.
 
-        Raises TypeError, ValueError.
+        Most values are checked by their class instead. Raises TypeError, ValueError.
         """
         return value
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names of nodes, bars and strings in a Python value by indices.
+        """Replace names by indices in a Python value.
 
-        Other values are returned unchanged, for the checks of their class. Raises TypeError,
-        ValueError.
+        They are names of nodes, bars and strings. Other values are returned unchanged, for the
+        checks of their class. Raises TypeError, ValueError.
         """
         return value
 
 
 @dataclass(frozen=True)
 class Numbers(FieldType):
-    """A number, or an array of one of several shapes.
+    """Field type of a number, or an array of one of several shapes.
 
     Parameters
     ----------
@@ -137,7 +140,7 @@ class Numbers(FieldType):
             raise NotWritten(f"{format_value(value)} is no array of numbers") from None
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of all shapes."""
+        """Build the JSON Schema of all permitted shapes."""
         options = []
         for shape in self.shapes:
             option: Schema = {"type": ["integer" if self.whole else "number", "string"]}
@@ -148,7 +151,7 @@ class Numbers(FieldType):
         return options[0] if len(options) == 1 else {"anyOf": options}
 
     def _describe(self) -> str:
-        """Describe the shapes in words."""
+        """Describe the permitted shapes for messages."""
         unit = f'numbers, "{FREE}" where one is free' if self.free else "numbers"
         words = []
         for shape in self.shapes:
@@ -185,13 +188,13 @@ WHOLES = Numbers(((), (None,)), whole=True)
 
 
 def varying(*shape: int | None) -> Numbers:
-    """Build the type of a quantity that may change with time."""
+    """Build the field type of a quantity that may change with time."""
     return Numbers((shape, (None, *shape)), varying=True)
 
 
 @dataclass(frozen=True)
 class Flag(FieldType):
-    """True or false."""
+    """Field type of a Boolean."""
 
     def read(self, item: Item) -> bool:
         """Read a Boolean."""
@@ -204,13 +207,13 @@ class Flag(FieldType):
         return bool(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a Boolean."""
+        """Build the JSON Schema of a Boolean."""
         return {"type": "boolean"}
 
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """Text, or one of some words."""
+    """Field type of text, or of one of some words."""
 
     options: tuple[str, ...] = ()
 
@@ -226,25 +229,25 @@ class Word(FieldType):
         return str(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of the words."""
+        """Build the JSON Schema of the permitted words."""
         return {"enum": list(self.options)} if self.options else {"type": "string"}
 
 
 def names_file(option: str) -> bool:
-    """Return whether an option names a file or a library."""
+    """Return whether a solver option names a file or a library."""
     parts = ("file", "lib", "path", "plugin", "dir", "load", "dump", "write")
     return any(part in option for part in parts)
 
 
 @dataclass(frozen=True)
 class Option(FieldType):
-    """Option of a solver: a number, a flag or a word.
+    """Field type of a solver option: a number, a flag or a word.
 
     Options that name files or libraries are rejected.
     """
 
     def read(self, item: Item) -> Any:
-        """Read an option."""
+        """Read a solver option."""
         if names_file(str(item.key[-1])):
             reason = "nothing is loaded or written because a scene file says so"
             raise item.error(f"may name a file, and {reason}: leave it out")
@@ -253,25 +256,25 @@ class Option(FieldType):
         return item.value
 
     def write(self, value: Any) -> Any:
-        """Write an option."""
+        """Write a solver option."""
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, (bool, int, float, str)):
             raise NotWritten(f"{format_value(value)} is no number, flag or word: leave it out")
         return value
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of an option."""
+        """Build the JSON Schema of a solver option."""
         return {"type": ["number", "boolean", "string"]}
 
 
 @dataclass(frozen=True)
 class Index(FieldType):
-    """A node, bar or string by its name or index."""
+    """Field type of a node, bar or string, by its name or index."""
 
     which: ItemKind
 
     def read(self, item: Item) -> int:
-        """Read an index."""
+        """Read an index, or the index of a name."""
         found = item.indices(self.which)
         if len(found) != 1:
             group = f"a group of {len(found)} {self.which}s"
@@ -283,7 +286,7 @@ class Index(FieldType):
         return str(value) if isinstance(value, str) else int(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of an index or a name."""
+        """Build the JSON Schema of an index or a name."""
         return {"type": ["integer", "string"], "minimum": 0}
 
     def check(self, field: str, value: Any) -> Any:
@@ -291,13 +294,13 @@ class Index(FieldType):
         return index_or_name(field, value)
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace a name."""
+        """Replace a name by its index."""
         return names.resolve(field, self.which, value)
 
 
 @dataclass(frozen=True)
 class Members(FieldType):
-    """List of nodes, bars or strings.
+    """Field type of a list of nodes, bars or strings.
 
     The name of a group stands for all its members.
     """
@@ -305,7 +308,7 @@ class Members(FieldType):
     which: ItemKind
 
     def read(self, item: Item) -> list[int]:
-        """Read indices."""
+        """Read a list of indices, or of names as indices."""
         entries = item.entries(f"a list of names or indices of {self.which}s")
         return [index for entry in entries for index in entry.indices(self.which)]
 
@@ -314,7 +317,7 @@ class Members(FieldType):
         return [Index(self.which).write(entry) for entry in value]
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a list."""
+        """Build the JSON Schema of a list of indices or names."""
         return {"type": "array", "items": Index(self.which).schema(kinds)}
 
     def check(self, field: str, value: Any) -> Any:
@@ -322,13 +325,13 @@ class Members(FieldType):
         return as_tuple(field, value, "[0, 1]")
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names."""
+        """Replace names by indices in a list."""
         return names.resolve_all(field, self.which, value)
 
 
 @dataclass(frozen=True)
 class ListOf(FieldType):
-    """A list of values of one type.
+    """Field type of a list of values of one type.
 
     Parameters
     ----------
@@ -360,14 +363,14 @@ class ListOf(FieldType):
         return written[0] if self.single and len(written) == 1 else written
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the schema of a list."""
+        """Build the JSON Schema of a list."""
         one = self.type.schema(kinds)
         limits = {} if self.count is None else {"minItems": self.count, "maxItems": self.count}
         many: Schema = {"type": "array", "items": one, **limits}
         return {"anyOf": [one, many]} if self.single else many
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace the names in the entries."""
+        """Replace names by indices in the entries."""
         entries = list_entries(field, value)
         if entries is None:
             return self.type.resolve(field, value, names) if self.single else value
@@ -379,20 +382,20 @@ class ListOf(FieldType):
 
 
 class InPython(FieldType):
-    """Field that files do not hold, such as a function."""
+    """Field type of values that files cannot hold, such as functions."""
 
     def read(self, item: Item) -> Any:
-        """Reject the entry."""
+        """Reject an entry in a file."""
         raise item.error("is a field of Python alone: leave it out")
 
     def write(self, value: Any) -> Any:
-        """Reject the value."""
+        """Reject a value, as files cannot hold it."""
         raise NotWritten("a function in Python: leave it out")
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build a schema that nothing fits."""
+        """Build a JSON Schema that permits no value."""
         return {"not": {}}
 
 
 class ElsewhereInFile(InPython):
-    """A field that another table of the file holds."""
+    """Field type of values that another table of the file holds."""

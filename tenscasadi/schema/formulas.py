@@ -44,7 +44,7 @@ _NAME = re.compile(r"(?<![\w.\[])[A-Za-z_]\w*", re.ASCII)  # indices of "z[tip]"
 
 
 class FormulaError(ValueError):
-    """A fault of a formula, with its cure."""
+    """Raised for an invalid formula, with a cure."""
 
 
 class Formula:
@@ -84,7 +84,7 @@ class Formula:
         return TIME in self.names
 
     def value(self, numbers: Mapping[str, float]) -> float:
-        """Compute the number for given values of the names.
+        """Compute the value for given values of the names.
 
         Raises FormulaError.
         """
@@ -116,7 +116,7 @@ class Formula:
         return values[self._terms[0][0]]
 
     def with_numbers(self, numbers: Mapping[str, float]) -> str:
-        """Substitute declared numbers for their names in the text."""
+        """Replace the names of declared numbers in the text by values."""
         known = {name: f"({value!r})" for name, value in numbers.items() if name not in RESERVED}
         return _NAME.sub(lambda found: known.get(found[0], found[0]), self.text)
 
@@ -134,11 +134,9 @@ def _parse(text: str) -> ast.expr:
 
 
 def _read(node: ast.expr, text: str) -> tuple[Any, list[ast.expr]]:
-    """Find the value, name or operation of a node.
+    """Find the value, name or operation of a syntax-tree node.
 
-    Its operands follow.
-
-    Raises FormulaError.
+    Also returns its operands. Raises FormulaError.
     """
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):

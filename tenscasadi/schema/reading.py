@@ -1,4 +1,4 @@
-"""Values of scene files with file, line and key."""
+"""Entries of scene files, with file, line and key for messages."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ class SceneFileError(ValueError):
 
 
 class NotWritten(ValueError):
-    """Error for a value that no file can hold."""
+    """Raised for a value that files cannot hold."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """Counts and names of nodes, bars and strings.
+    """Counts and names of a structure's nodes, bars and strings.
 
     A name is that of one item, or of a group of items.
     """
@@ -88,7 +88,10 @@ class Names:
     named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def add_inputs(self, cable_of: Indices) -> Names:
-        """Add the inputs (cables and strings in no cable), by the names of their strings."""
+        """Add the control inputs, by the names of their strings.
+
+        Inputs belong to cables, and to strings in no cable.
+        """
         inputs = cable_of.tolist()
         own = {
             name: sorted({inputs[string] for string in strings})
@@ -98,7 +101,7 @@ class Names:
         return Names({**self.counts, "input": count}, {**self.named, "input": own})
 
     def find(self, which: ItemKind, word: Any) -> list[int]:
-        """Find the indices of an index or a name.
+        """Find the indices for an index, a name or a group name.
 
         Raises ValueError.
         """
@@ -122,7 +125,7 @@ class Names:
         return [word]
 
     def index(self, field: str, which: ItemKind, word: Any) -> int:
-        """Find the index of an item by its name or index.
+        """Convert the name or index of one item to its index.
 
         Raises TypeError, ValueError.
         """
@@ -161,9 +164,9 @@ class Names:
         return lists if same and not isinstance(lists, Iterator) else found
 
     def pairs(self, field: str, members: Any, item: str, parallel: bool = False) -> Indices:
-        """Convert members, pairs of nodes by name or index, to an array (items, 2).
+        """Convert bars or strings to an array (items, 2) of node indices.
 
-        Raises TypeError, ValueError as `node_pairs`.
+        Each is a pair of nodes by name or index. Raises TypeError, ValueError as `node_pairs`.
         """
         own = self.resolve_lists(field, "node", members)
         return node_pairs(field, own, self.counts["node"], item, parallel)
@@ -180,9 +183,10 @@ class Names:
         return found
 
     def resolve_keys(self, field: str, which: ItemKind, table: Any) -> Any:
-        """Replace the names of items and groups among the keys of a mapping by indices.
+        """Replace names by indices among the keys of a mapping.
 
-        Other values are returned unchanged. Raises ValueError.
+        Groups are replaced by all their members. Other values are returned unchanged. Raises
+        ValueError.
         """
         if not isinstance(table, Mapping) or not any(isinstance(word, str) for word in table):
             return table
@@ -195,9 +199,9 @@ class Names:
         return found
 
     def place_rows(self, field: str, table: Any, shape: tuple[int | None, ...] = (3,)) -> Any:
-        """Convert a table of vectors by node to rows (..., n, 3); other nodes have zeros.
+        """Convert a mapping of vectors by node to an array (..., n, 3).
 
-        Other values are returned unchanged. Raises TypeError, ValueError.
+        Other nodes have zeros. Other values are returned unchanged. Raises TypeError, ValueError.
         """
         if not isinstance(table, Mapping):
             return table
@@ -214,9 +218,9 @@ class Names:
         return rows
 
     def expand(self, field: str, which: ItemKind, word: Any) -> list[Any]:
-        """List the indices of the name of an item or group.
+        """Return the indices for a name or a group name, as a list.
 
-        A value that is no name is listed unchanged. Raises ValueError.
+        A value that is no name is the only entry. Raises ValueError.
         """
         if not isinstance(word, str):
             return [word]
@@ -228,7 +232,7 @@ class Names:
 
 @dataclass(frozen=True)
 class Document:
-    """Content of a scene file with its includes.
+    """Parsed content of a scene file with its includes.
 
     Attributes
     ----------
@@ -253,7 +257,7 @@ class Document:
         return Item(self.data, (), self)
 
     def section(self, name: str) -> Item | None:
-        """Find a section of the document; None without one.
+        """Find a table of the scene file; None without one.
 
         Raises SceneFileError.
         """
@@ -264,14 +268,14 @@ class Document:
         return found
 
     def place(self, key: Key) -> tuple[str, int | None]:
-        """Find the file and the line of a key."""
+        """Find the file and the line that contain a key."""
         places = [(*find_line(text, key), name) for name, text in reversed(self.sources)]
         words, line, file = max(places, key=lambda place: place[0], default=(0, 1, self.name))
         return (file, line) if words and not file.startswith("--") else (file or self.name, None)
 
 
 class Item(NamedTuple):
-    """Value of a document with its key and known names."""
+    """Entry of a scene file, with its key for messages."""
 
     value: Any
     key: Key
@@ -324,7 +328,7 @@ class Item(NamedTuple):
         return float(self.value)
 
     def formula(self) -> Formula:
-        """Parse a text as a formula.
+        """Parse a text entry as a formula.
 
         Raises SceneFileError.
         """
@@ -341,18 +345,16 @@ class Item(NamedTuple):
         return int(found)
 
     def indices(self, which: ItemKind, word: Any = None) -> list[int]:
-        """Find the indices of a name or index.
+        """Find the indices for a name or index.
 
-        By default it is the value.
-
-        Raises SceneFileError.
+        By default it is the value of this entry. Raises SceneFileError.
         """
         return self._call(lambda: self.names.find(which, self.value if word is None else word))
 
     def error(self, message: str) -> SceneFileError:
-        """Build the error of this value from a message.
+        """Build an error that names the place of this entry.
 
-        An example is "is 3: give 4".
+        An example of `message` is "is 3: give 4".
         """
         text = ""
         for word in self.key:
@@ -370,10 +372,10 @@ class Item(NamedTuple):
 
 
 def list_entries(field: str, value: Any) -> tuple[Any, ...] | None:
-    """List the entries of a list that can hold names, None for other values.
+    """Return the entries of a list that can contain names.
 
-    Raises TypeError for an iterator that fails, as it cannot be read again, and ValueError for more
-    than MAX_COUNT entries.
+    Returns None for other values. Raises TypeError for an iterator that fails, as it cannot be read
+    again, and ValueError for more than MAX_COUNT entries.
     """
     numbers = isinstance(value, np.ndarray) and value.dtype.kind in "biufc"
     if numbers or isinstance(value, (str, bytes, Mapping)):
@@ -400,7 +402,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def call(
     build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]
 ) -> Any:
-    """Call `build` with the given fields.
+    """Call `build`, and add file and line to its errors.
 
     A TypeError or ValueError becomes a SceneFileError at the field that it names first.
     """

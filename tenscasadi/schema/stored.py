@@ -31,11 +31,11 @@ _KINDS = {bool: "b", int: "i", float: "f", str: "U"}  # NumPy's letters
 
 
 class Stored(ReadOnlyArrays):
-    """Base of results that files hold.
+    """Base class of results that can be stored in .npz files.
 
-    Arrays are annotated by their sizes and NumPy's letter of their kind:
-    ``Annotated[Array, "Tn3", "f"]`` is a float array (T, n, 3). Subclasses convert fields of other
-    types by `_write_values` and `_read_values`.
+    Arrays are annotated by their sizes and NumPy's letter of their kind: ``Annotated[Array, "Tn3",
+    "f"]`` is a float array (T, n, 3). Subclasses convert fields of other types by `_write_values`
+    and `_read_values`.
     """
 
     _form: ClassVar[str] = ""  # the field "format" of files
@@ -51,9 +51,9 @@ class Stored(ReadOnlyArrays):
         super().__post_init__()
 
     def save(self, path: FilePath) -> Path:
-        """Write to a compressed .npz file.
+        """Write the result to a compressed .npz file.
 
-        Python functions, such as time-varying loads, are sampled at the saved times or left out.
+        Python functions, such as time-varying loads, are sampled at the saved times or omitted.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Stored(ReadOnlyArrays):
         return archive.save(path, self._form, self.to_arrays())
 
     def to_bytes(self) -> bytes:
-        """Encode as the content of a file.
+        """Return the content of the .npz file.
 
         Returns
         -------
@@ -111,7 +111,7 @@ class Stored(ReadOnlyArrays):
         return archive.load(path, cls._form, cls._title, cls.from_arrays)
 
     def to_arrays(self) -> dict[str, Any]:
-        """Convert to arrays by name.
+        """Convert the result to arrays by name.
 
         Returns
         -------
@@ -130,7 +130,7 @@ class Stored(ReadOnlyArrays):
 
     @classmethod
     def from_arrays(cls: type[Own], content: Mapping[str, Any]) -> Own:
-        """Build from arrays.
+        """Build the result from arrays by name.
 
         Parameters
         ----------
@@ -175,14 +175,14 @@ class Stored(ReadOnlyArrays):
         return cls(**given)
 
     def _write_values(self) -> dict[str, str]:
-        """Write the other fields, such as scenes, as texts."""
+        """Convert fields that are no arrays, such as scenes, to text."""
         return {}
 
     @classmethod
     def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Read fields that `_write_values` wrote; `given` are the others.
+        """Restore the fields that `_write_values` converted.
 
-        Raises ValueError.
+        `given` are the other fields. Raises ValueError.
         """
         return {}
 
@@ -233,9 +233,9 @@ def _find_fields(cls: Hashable) -> _FieldTypes:
 
 
 def array_fields(cls: type) -> dict[str, tuple[str | None, str]]:
-    """Find dimensions and kinds of fields of numbers or text.
+    """Return dimensions and kinds of the fields that are arrays or text.
 
-    Dimensions are letters.
+    Dimensions are letters, such as "Tn3".
     """
     return _find_fields(cls).arrays
 

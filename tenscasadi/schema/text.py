@@ -1,4 +1,4 @@
-"""TOML and JSON: parsing, lines of keys, and writing."""
+"""TOML and JSON: parsing, line numbers of keys, and formatting."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _POSITION = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)")
 
 
 class TextError(ValueError):
-    """Error for invalid TOML or JSON at a `line`."""
+    """Raised for invalid TOML or JSON, with its `line`."""
 
     def __init__(self, message: str, line: int | None) -> None:
         super().__init__(message)
@@ -82,7 +82,7 @@ def _parse_json(text: str) -> Any:
 
 
 def find_line(text: str, key: Key) -> tuple[int, int]:
-    """Find the line of a key in a valid text.
+    """Find the line of a key in TOML or JSON.
 
     Returns how many leading words of `key` the text has, and the line of the last of them.
     """

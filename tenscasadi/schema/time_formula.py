@@ -1,4 +1,4 @@
-"""Formulas of time, as functions that files can hold."""
+"""Functions of time that are given by formulas, for files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tenscasadi.schema.value import Value
 
 @dataclass(frozen=True)
 class TimeFormula(Value, kind="TimeFormula"):
-    """Function of time that is given by formulas of ``t``.
+    """Function of time, given by formulas of ``t``.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class TimeFormula(Value, kind="TimeFormula"):
         return _map(self.entries, lambda formula: formula.at(time, numbers))
 
     def plain(self) -> Any:
-        """Format nested lists of formulas with numbers for names."""
+        """Return the formulas as text, with numbers in place of names."""
         numbers = dict(self.numbers)
         return _map(self.entries, lambda formula: Formula(formula.with_numbers(numbers)).text)
 

@@ -1,4 +1,7 @@
-"""Value classes that register themselves: `class Smooth(StringLaw, kind="Smooth")`."""
+"""Base class of objects that scene files hold, with registration by kind.
+
+An example is `class Smooth(StringLaw, kind="Smooth")`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ T = TypeVar("T", bound=Callable[..., Any])
 
 
 class Value:
-    """Base of values that files hold.
+    """Base class of immutable objects that scene files hold.
 
     A direct subclass begins a family. A class with a `kind` is a member of its family. Files, their
     JSON Schema and their reference page include all members.
@@ -24,7 +27,7 @@ class Value:
     kind : str
         Name of the class in files; empty for classes that files do not hold.
     short : str
-        Field that stands for the whole value where no other is given.
+        Field that stands for the whole object if no other is given.
     implied : str
         Kind of a table that does not name one.
     earlier_names : mapping of str to str
@@ -60,7 +63,7 @@ class Value:
 
     @classmethod
     def maker(cls, function: T) -> T:
-        """Register a function that builds values of this family.
+        """Register a function that builds objects of this family.
 
         The name of the function is its ``kind`` in scene files.
         """
@@ -69,7 +72,7 @@ class Value:
 
     @classmethod
     def from_fields(cls, **given: Any) -> Any:
-        """Build a value from its fields by name."""
+        """Build an object from its fields by name."""
         return cls(**given)
 
     def to_fields(self) -> Mapping[str, Any]:
@@ -78,7 +81,7 @@ class Value:
 
 
 def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
-    """Enter a member into its family.
+    """Add a class or function to a family.
 
     Raises TypeError if another one has its kind.
     """
@@ -91,11 +94,11 @@ def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
 
 
 def check_fields(value: Any, public: bool = True) -> None:
-    """Check the fields of a dataclass by their annotations, and keep the clean values.
+    """Check and convert the fields of a dataclass by its annotations.
 
-    Entries of an annotation that have a method `check`, such as `Check` and `FieldType`, are applied
-    in their order. None is not checked where it is the default, or in the annotation. Messages name
-    the class only if it is `public`.
+    Entries of an annotation that have a method `check`, such as `Check` and `FieldType`, are
+    applied in their order. None is not checked where it is the default, or in the annotation.
+    Messages name the class only if it is `public`.
     """
     owner = f"{type(value).__name__}." if public else ""
     for name, (optional, checks) in _find_checks(type(value)).items():  # type: ignore[arg-type]  # classes hash
@@ -108,7 +111,7 @@ def check_fields(value: Any, public: bool = True) -> None:
 
 @cache
 def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], Any]]]]:
-    """Find whether a field may be None, and its checks, by its name."""
+    """Find the checks of each field, and whether it may be None."""
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         with suppress(NameError):  # a user's class may name types of type checkers alone
@@ -123,7 +126,7 @@ def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], 
 
 
 def _list_entries(hint: Any) -> Iterator[Any]:
-    """List the types and the metadata of an annotation."""
+    """Yield the types and metadata of an annotation."""
     if get_origin(hint) is Annotated:
         kind, *entries = get_args(hint)
         yield from (*_list_entries(kind), *entries)

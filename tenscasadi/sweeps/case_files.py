@@ -1,4 +1,4 @@
-"""Outcomes of cases, and their files in a folder."""
+"""Results of a sweep's cases, and their files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _VALUE = "value."  # before the names of results in files
 
 
 class CaseOutcome(NamedTuple):
-    """Outcome of a case.
+    """Result of one case of a sweep.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class CaseOutcome(NamedTuple):
 
 
 def check_results(returned: Any) -> dict[str, Any]:
-    """Convert a result to numbers, text and arrays by name.
+    """Convert a case's result to numbers, text and arrays by name.
 
     Raises TypeError.
     """
@@ -62,7 +62,7 @@ def _read_result(name: str, value: Any) -> Any:
 
 
 class CaseFiles:
-    """Folder with one .npz file for each finished case.
+    """Folder with one .npz file for each finished case of a sweep.
 
     Raises TypeError, ValueError, OSError.
 
@@ -80,7 +80,7 @@ class CaseFiles:
         self.found = self.damaged = self.outdated = 0
 
     def key(self, case: Any, field: str) -> str:
-        """Compute the key of a case.
+        """Compute the key that identifies a case, its file name.
 
         Raises TypeError.
         """
@@ -100,7 +100,7 @@ class CaseFiles:
         archive.save(self.folder / f"{key}.npz", _FORMAT, content)
 
     def read(self, keys: Sequence[str]) -> dict[str, CaseOutcome]:
-        """Read the cases that have finished without error.
+        """Read the results of cases that have finished without error.
 
         Raises ValueError if they are of another function.
         """
@@ -126,7 +126,7 @@ class CaseFiles:
 
 
 def _read(function: str, key: str, content: Fields) -> tuple[CaseOutcome, str, str]:
-    """Read an outcome, and hash and home of its function.
+    """Read a result with the source hash and module of its function.
 
     Raises ValueError.
     """

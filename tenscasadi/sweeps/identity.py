@@ -1,4 +1,4 @@
-"""Identity of cases and functions.
+"""Keys that identify a sweep's cases and function by content.
 
 The same content gives the same key in any process.
 """
@@ -26,7 +26,7 @@ _CONSTANTS = (bool, int, float, complex, str, np.generic, np.ndarray, Value)  # 
 
 
 class FunctionIdentity(NamedTuple):
-    """Identity of a function.
+    """Name and hash that identify a function.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class FunctionIdentity(NamedTuple):
 
 
 def identify(function: Callable[..., Any]) -> FunctionIdentity:
-    """Find the identity of a function.
+    """Compute the identity of a function.
 
     Raises TypeError if its content is unknown.
     """
@@ -67,7 +67,10 @@ def identify(function: Callable[..., Any]) -> FunctionIdentity:
 
 
 def _find_content(function: Callable[..., Any]) -> Any:
-    """Find the values that distinguish functions of one name."""
+    """Find the values that distinguish functions of equal name.
+
+    They are the arguments of a partial, the object of a method, and constants of a closure.
+    """
     if isinstance(function, partial):  # of a partial, Python makes one with all arguments
         inner, arguments = _find_content(function.func), function.args
         return {"of": inner, "arguments": arguments, "keywords": function.keywords}
@@ -90,7 +93,7 @@ def _find_content(function: Callable[..., Any]) -> Any:
 
 
 def case_key(name: str, case: Any, field: str) -> str:
-    """Hash the content of a case of a function.
+    """Compute the key of a case from its content and function.
 
     Raises TypeError naming `field`.
     """
@@ -98,14 +101,14 @@ def case_key(name: str, case: Any, field: str) -> str:
 
 
 def hash_case(name: str, text: str) -> str:
-    """Hash the text of a case."""
+    """Compute the hash of a case from its text and function name."""
     return hashlib.sha256(f"[{json.dumps(name)}, {text}]".encode()).hexdigest()[:32]
 
 
 def describe_case(case: Any, field: str = "case") -> str:
-    """Format the content of a case, independent of the machine.
+    """Format the content of a case as text for its hash.
 
-    Raises TypeError naming `field`.
+    It does not depend on the machine. Raises TypeError naming `field`.
     """
     return json.dumps(_describe(field, case))
 

@@ -118,7 +118,10 @@ def _compute(
     computed: dict[Any, CaseOutcome],
     progress: bool,
 ) -> bool:
-    """Compute and save cases; return whether Ctrl-C has ended it."""
+    """Compute and save the given cases.
+
+    Returns whether Ctrl-C has ended the sweep.
+    """
     if executor is None:
         jobs = run_in_processes(function, todo)
     else:

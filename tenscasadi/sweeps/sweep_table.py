@@ -20,7 +20,7 @@ from tenscasadi.util.whole_file import write_whole
 
 @dataclass(frozen=True, eq=False)
 class Sweep(ReadOnlyArrays):
-    """Table of cases and their results.
+    """Table of a sweep's cases and their results.
 
     ``len(table)`` is the number of cases, ``table["name"]`` the column of that name, see `columns`.
 
@@ -155,7 +155,7 @@ def _build_columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _build_column(values: list[Any]) -> Any:
-    """Build an array of values (n); None: missing."""
+    """Build an array of values (n); None marks missing ones."""
     arrays = [None if value is None else _as_array(value) for value in values]
     known = [array for array in arrays if array is not None]
     kinds = {array.dtype.kind if array.dtype.kind in "OU" else "" for array in known}

@@ -1,4 +1,4 @@
-"""Workers of a sweep: an executor, or own processes."""
+"""Processes and executors that compute the cases of a sweep."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _CURE = "which other processes cannot get: give numbers, text and arrays, and bu
 def compute(function: Function, case: Any) -> CaseOutcome:
     """Compute a case in a worker.
 
-    An exception becomes its error.
+    An exception becomes the error of the case.
     """
     began = time.perf_counter()
     try:
@@ -64,7 +64,7 @@ def _has_keyboard() -> bool:
 def run_on_executor(
     function: Function, cases: Mapping[Any, Any], executor: Executor
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield outcomes of cases as an executor finishes them.
+    """Yield the results of cases as an executor finishes them.
 
     Cases that have not begun are canceled when the caller stops early. Raises the exception of an
     executor that takes no jobs.
@@ -92,7 +92,7 @@ def run_on_executor(
 def run_in_processes(
     function: Function, cases: Mapping[Any, Any]
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield outcomes of cases as new processes finish them.
+    """Yield the results of cases as new processes finish them.
 
     There are as many processes as cores, each with one thread. When a process dies, its pool is
     lost. The running cases are tried again one by one to find the cause. Raises ValueError if
@@ -151,9 +151,9 @@ def _describe_loss(fault: Exception, case: Any) -> CaseOutcome:
 
 
 def _find_unpicklable(value: Any, name: str = "case") -> str:
-    """Find the part of a case that does not pickle.
+    """Find the part of a case that cannot be pickled.
 
-    Returns "" for none.
+    Returns "" if there is none.
     """
     try:
         pickle.dumps(value)
@@ -181,7 +181,7 @@ def _check_function(function: Function) -> None:
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
-    """Import the function in a process.
+    """Check that a worker process can import the function.
 
     Raises RuntimeError if it cannot begin.
     """

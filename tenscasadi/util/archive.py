@@ -29,9 +29,9 @@ class Fields(dict[str, Any]):
         raise ValueError(f"it has no field {name!r}")  # `load` names the file
 
     def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
-        """Select an array of one of NumPy's kinds of dtype.
+        """Select an array whose data type is of one of NumPy's kinds.
 
-        Raises ValueError.
+        `kinds` are letters such as "fi". Raises ValueError.
         """
         value = self[name]
         if value.dtype.kind not in kinds or dimensions not in (None, value.ndim):
@@ -76,7 +76,7 @@ def compute_size_limit(path: Path) -> int:
 
 
 def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> T:
-    """Build a value from the arrays of a file.
+    """Build an object from the arrays of a file.
 
     Raises FileNotFoundError. Raises ValueError with the file, the expected `kind` and the reason if
     the file is damaged or has another `form`, or if `build` raises ValueError.
@@ -113,7 +113,7 @@ def read_format(path: FilePath) -> str:
 
 
 def _read(path: Path, only: str = "") -> Fields:
-    """Read arrays of a file and check their sizes."""
+    """Read arrays of a file after a check of their sizes."""
     if path.exists() and not path.is_file():  # opening a FIFO would wait for another process
         raise OSError("it is not a regular file")
     with zipfile.ZipFile(path) as packed:

@@ -20,7 +20,7 @@ from tenscasadi.util.validate import Array
 def call_as_sx(
     large: bool, function: Callable[..., tuple[Any, ...]], *arguments: Any
 ) -> tuple[Any, ...]:
-    """Call a function on scalar expressions (SX) unless `large`.
+    """Call a function on scalar expressions (SX), unless `large`.
 
     MX arguments then become one call of an SX Function, which has fewer instructions.
     """
@@ -36,7 +36,7 @@ def call_as_sx(
 
 
 def symbol_kind(function: ca.Function) -> Any:
-    """Return SX for a Function of scalar code, else MX."""
+    """Return CasADi's SX for a Function of scalar code, else MX."""
     return ca.SX if function.is_a("SXFunction") else ca.MX
 
 
@@ -77,7 +77,7 @@ def constant_row(values: Any) -> Any:
 
 
 def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
-    """Compute Z ŵ C (3×n) with weights w of columns.
+    """Compute Z ŵ C (3×n) with the diagonal matrix ŵ.
 
     Z is 3×k, w is 1×k, and C (k×n) is constant.
     """
@@ -137,9 +137,9 @@ def drop_rounding(matrix: Any) -> sp.csr_array:
 
 
 def number_nonzeros(matrix: Any) -> sp.csr_array:
-    """Replace nonzeros of a CasADi matrix by their numbers.
+    """Replace the nonzeros of a CasADi matrix by 1, 2, 3, ….
 
-    Numbers begin at 1, and the result is a SciPy matrix. A SciPy matrix keeps its entries.
+    The result is a SciPy matrix. A SciPy matrix keeps its values.
     """
     if not is_expression(matrix):
         return sp.csr_array(matrix)
@@ -180,7 +180,10 @@ def multiply_rows(matrix: Any, one: Any, other: Any) -> Any:
 
 
 def diagonal_row(matrix: Any) -> Any:
-    """Convert a diagonal to a CasADi row, see `constant_row`."""
+    """Return the diagonal of a matrix as a CasADi row.
+
+    See `constant_row`.
+    """
     return ca.diag(matrix).T if is_expression(matrix) else constant_row(matrix.diagonal())
 
 
@@ -225,7 +228,7 @@ def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
 
 
 class ArrayFunction:
-    """CasADi Function of NumPy arrays without copies.
+    """CasADi Function that takes and returns NumPy arrays without copies.
 
     Copies take longer than small functions. The memory of each argument holds the input column by
     column. Results are an array (columns, rows) for each dense output, and the nonzeros of each
@@ -244,7 +247,10 @@ class ArrayFunction:
         ]
 
     def __call__(self, *inputs: Array) -> list[Array]:
-        """Evaluate the Function. Raises RuntimeError if it fails."""
+        """Evaluate the Function.
+
+        Raises RuntimeError if it fails.
+        """
         arrays = [np.ascontiguousarray(value, dtype=float) for value in inputs]
         results = [np.empty(shape) for shape in self._shapes]
         with self._lock:

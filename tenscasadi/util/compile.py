@@ -84,7 +84,7 @@ Compiled = bool | Single | None
 
 
 class CompileTimeout(CompileError):
-    """Compilation that exceeded its time limit."""
+    """Raised if a compilation exceeds its time limit."""
 
 
 def find_compiler() -> tuple[str, ...] | None:
@@ -199,7 +199,7 @@ def _load(
     load: Callable[[Path], T],
     may_build: bool = True,
 ) -> T:
-    """Load the library of a source, compiled or cached."""
+    """Load the library of a source code from the cache, or compile it."""
     options = tuple(flags) if flags is not None else _choose_flags(compiler, source)
     identity = (
         _identify(compiler, options),
@@ -249,7 +249,7 @@ def _default_flags(compiler: tuple[str, ...]) -> tuple[str, ...]:
 def _identify(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
     """Identify a compiler by its path, arguments and predefined macros.
 
-    The macros have its version and the features of the processor.
+    The macros contain its version and the features of the processor.
     """
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
     macros = run_compiler(command)
@@ -289,9 +289,10 @@ def _read_time_limit() -> float:
 
 
 def _generate_c(function: ca.Function, single: bool = False) -> str:
-    """Generate C code for `casadi.external`, with float inside if `single`.
+    """Generate C code of a CasADi Function for `casadi.external`.
 
-    Raises RuntimeError if CasADi cannot generate code.
+    With `single`, it computes in single precision. Raises RuntimeError if CasADi cannot generate
+    code.
     """
     # The comments have numbers in the process-wide format of CasADi, which would change the hash.
     options = {"verbose": False} | ({"casadi_real": "float"} if single else {})
@@ -301,7 +302,7 @@ def _generate_c(function: ca.Function, single: bool = False) -> str:
 
 
 def _wrap_float(function: ca.Function, source: str) -> str:
-    """Wrap float code in functions with double arguments."""
+    """Wrap single-precision C code in functions with double arguments."""
     name, inputs, outputs = function.name(), function.n_in(), function.n_out()
     defines = [f"#define {name}{suffix} {name}_in_float{suffix}" for suffix in _TYPED]
     undefines = [f"#undef {name}{suffix}" for suffix in _TYPED]

@@ -1,4 +1,4 @@
-"""Immutable values: read-only arrays, and results kept with the value they follow from."""
+"""Immutable objects: read-only arrays, and cached results."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Kept = TypeVar("Kept")
 
 
 def read_only(value: Any) -> Any:
-    """Make a read-only view of an array.
+    """Build a read-only view of an array.
 
     In tuples and dictionaries, all arrays become views. Sparse arrays are returned unchanged,
     because SciPy sorts them in place.
@@ -29,22 +29,23 @@ def read_only(value: Any) -> Any:
 
 
 class ReadOnlyArrays:
-    """Base of frozen values whose arrays and copies are read-only."""
+    """Base class of immutable dataclasses with read-only arrays."""
 
     def __post_init__(self) -> None:
         """Make all arrays read-only."""
         self.__setstate__(vars(self).copy())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore the attributes of a copied value."""
+        """Restore the attributes of a copied object."""
         for name, value in state.items():
             object.__setattr__(self, name, read_only(value))
 
 
 class _Store(dict[Hashable, Any]):
-    """Kept values of one owner, which copies of it do not take over.
+    """Cache of one object, which its copies do not share.
 
-    It is an attribute of the owner, so that both are freed together: values refer to the owner.
+    It is an attribute of the owner, so that both are freed together: cached values refer to the
+    owner.
     """
 
     def __init__(self, owner: Any = None) -> None:
@@ -56,7 +57,7 @@ class _Store(dict[Hashable, Any]):
 
 
 def keep(owner: Any, key: Hashable, build: Callable[[], Kept]) -> Kept:
-    """Return the stored value of a key, building it once.
+    """Return the cached value of a key, and build it at the first call.
 
     Parameters
     ----------

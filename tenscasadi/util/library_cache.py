@@ -29,7 +29,7 @@ _IN_USE = 3600.0  # s in which another process may be building or about to load 
 
 
 class CompileError(RuntimeError):
-    """Failure of a compilation, with the compiler's message."""
+    """Raised if a compilation fails, with the compiler's message."""
 
 
 def load_library(
@@ -131,7 +131,7 @@ def _remove_own(folder: str, process: int) -> None:
 
 
 def _compute_seal(code: bytes, key: str) -> bytes:
-    """Compute the hash at the end of a library.
+    """Compute the checksum at the end of a library file.
 
     Loading a library that is truncated or has other code would kill the process.
     """
@@ -139,7 +139,10 @@ def _compute_seal(code: bytes, key: str) -> bytes:
 
 
 def _read_library(library: Path, key: str) -> bytes:
-    """Read a library, b"" if missing, untrusted or damaged."""
+    """Read a library from the cache.
+
+    Returns b"" if it is missing, untrusted or damaged.
+    """
     if not library.is_file() or _explain_distrust(library):
         return b""
     code = library.read_bytes()
@@ -176,8 +179,7 @@ def _build_library(library: Path, key: str, build: Callable[[Path], None]) -> by
 def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
     """Load a library from a private temporary copy.
 
-    A loaded library needs no name. If the file in the cache were loaded, a later change of it would
-    kill the process.
+    If the file in the cache were loaded, a later change of it would kill the process.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -195,9 +197,10 @@ def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
 
 
 def _trim(folder: Path) -> None:
-    """Remove the least recently used libraries down to `_LIMIT`.
+    """Remove the least recently used libraries until the cache is small.
 
-    Also remove temporary folders of killed processes. Other files in the folder belong to the user.
+    The limit is `_LIMIT`. Temporary folders of killed processes are removed, too. Other files in
+    the folder belong to the user.
     """
     now, found = time.time(), []
     for path in folder.iterdir():

@@ -1,4 +1,4 @@
-"""Singular linear systems: one regularized inverse, null spaces, independent rows."""
+"""Singular linear systems, null spaces, and block decompositions."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
 def semidefinite_inverse(S: Array) -> Array:
     """Invert symmetric positive semidefinite matrices (K, n, n).
 
-    Matrices with redundant rows are scaled to unit diagonal and replaced by their pseudoinverse.
+    Singular matrices are scaled to unit diagonal and replaced by their pseudoinverse.
     """
     diagonal = np.einsum("kii->ki", S)
     with np.errstate(all="ignore"):  # a matrix that is not finite gets no finite inverse
@@ -57,9 +57,10 @@ def semidefinite_inverse(S: Array) -> Array:
 
 
 def fit_rotation(vectors: Array, others: Array) -> Array:
-    """Find the rotation (…, 3, 3) that turns vectors (n, 3) nearest to others (…, n, 3).
+    """Find the rotation (…, 3, 3) that best fits vectors to others.
 
-    Kabsch, Acta Crystallographica A32 (1976), 922.
+    It rotates vectors (n, 3) to others (…, n, 3) in the least-squares sense. Kabsch, Acta
+    Crystallographica A32 (1976), 922.
     """
     left, _, right = np.linalg.svd(np.swapaxes(others, -1, -2) @ vectors)
     handed = np.ones(left.shape[:-1])
@@ -68,9 +69,10 @@ def fit_rotation(vectors: Array, others: Array) -> Array:
 
 
 def fit_velocities(places: Array, velocities: Array) -> tuple[Array, Array]:
-    """Find the mean and the angular velocity (…, 3) nearest to velocities (…, n, 3).
+    """Fit a mean and an angular velocity (…, 3) to node velocities.
 
-    The angular velocity is the least-squares one about the mean of the places (…, n, 3).
+    The velocities are (…, n, 3). The angular velocity is the least-squares one about the mean of
+    the places (…, n, 3).
     """
     arms = places - places.mean(axis=-2, keepdims=True)
     drift = velocities.mean(axis=-2)
@@ -122,8 +124,8 @@ def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
 def find_blocks(A: Array) -> list[tuple[Indices, Indices]]:
     """Find the diagonal blocks of a matrix up to permutations.
 
-    Each block is its rows and its columns. Rows and columns of zeros are left out. A matrix of
-    fewer than 50 rows or columns is one block.
+    Each block is its rows and its columns. Rows and columns of zeros are omitted. A matrix of fewer
+    than 50 rows or columns is one block.
     """
     m, n = A.shape
     if min(m, n) < 50:  # a dense decomposition costs less than the search

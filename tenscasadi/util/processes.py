@@ -1,4 +1,4 @@
-"""State of the whole process: child programs, processors, BLAS threads, Ctrl-C."""
+"""Process-wide settings: child processes, processors, BLAS threads, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def count_processors() -> int:
 def run_program(
     command: Sequence[str], seconds: float, environment: Mapping[str, str]
 ) -> subprocess.CompletedProcess[str]:
-    """Run a program to its end.
+    """Run another program to its end.
 
     Parameters
     ----------
@@ -161,7 +161,10 @@ def _has_count_per_thread(library: Any) -> bool:
 
 
 def _limit(libraries: list[Any], counts: list[int]) -> None:
-    """Set thread counts, unless other code has changed them."""
+    """Set thread counts of BLAS libraries.
+
+    Counts that other code has changed meanwhile remain.
+    """
     for library, count in zip(libraries, counts, strict=True):
         if count == 1 or library.num_threads == 1:
             library.set_num_threads(count)
@@ -172,6 +175,6 @@ def _limit(libraries: list[Any], counts: list[int]) -> None:
 
 @cache
 def _find_blas() -> list[Any]:
-    """Find the loaded BLAS libraries, including SciPy's."""
+    """Find all loaded BLAS libraries, including that of SciPy."""
     _ = linalg.blas  # loads that of SciPy
     return list(threadpoolctl.ThreadpoolController().select(user_api="blas").lib_controllers)

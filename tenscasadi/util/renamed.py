@@ -1,4 +1,4 @@
-"""Lazy imports, and deprecated names that warn."""
+"""Lazy imports, and deprecated names with a warning."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 def find_attribute(
     package: str, modules: Mapping[str, Iterable[str]], renamed: Mapping[str, str]
 ) -> Callable[[str], Any]:
-    """Build the `__getattr__` of a package.
+    """Build a package's `__getattr__` for lazy imports.
+
+    Deprecated names warn.
 
     Parameters
     ----------
@@ -44,7 +46,7 @@ def find_attribute(
 
 
 def lazy_module(name: str) -> Any:
-    """Import a module whose code runs at its first use."""
+    """Import a module whose code runs only at its first use."""
     if name in sys.modules:
         return sys.modules[name]
     spec = find_spec(name)
@@ -73,7 +75,7 @@ class RenamedAttribute:
 
 
 def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
-    """Accept deprecated keywords of a function, given as old="new"."""
+    """Decorate a function to accept deprecated keywords, old="new"."""
 
     def decorate(function: _Function) -> _Function:
         @wraps(function)
@@ -97,9 +99,9 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def rename_fields(**names: str) -> Callable[[_Class], _Class]:
-    """Accept old names of a dataclass's fields, given as old="new", with a warning.
+    """Decorate a dataclass to accept deprecated field names, old="new".
 
-    Files may use both; see `tenscasadi.schema.value.Value.earlier_names`.
+    They cause a warning. Files may use both; see `tenscasadi.schema.value.Value.earlier_names`.
     """
 
     def decorate(kind: _Class) -> _Class:

@@ -19,7 +19,7 @@ Columns = Mapping[str, Array]  # each (rows,), in order; the name ends in the un
 
 
 class Quantity(NamedTuple):
-    """Quantity over time.
+    """Quantity over time, with names for its columns.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Quantity(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit at the end of the column's name; "" if there is none."""
+        """Unit at the end of the column name; "" if there is none."""
         found = re.search(r"\(([^()]*)\)$", self.column)
         return found[1] if found else ""
 
@@ -58,7 +58,7 @@ class Quantity(NamedTuple):
         ]
 
     def columns(self, names: Mapping[str, Sequence[str]]) -> dict[str, Array]:
-        """Split the values into columns (rows,) with names, by the names of items."""
+        """Split the values into named columns (rows,)."""
         values = np.asarray(self.values)
         titles = [
             self.column.format(*items) for items in itertools.product(*self.label_items(names))
@@ -67,18 +67,21 @@ class Quantity(NamedTuple):
 
 
 class Tabular:
-    """Base of values with a table over time."""
+    """Base class of results that can be converted to a table over time."""
 
     def _quantities(self) -> Iterable[Quantity]:
         """List the quantities of the table, time first."""
         raise NotImplementedError
 
     def _labels(self) -> Mapping[str, Sequence[str]]:
-        """List the names of nodes and strings by dimension, where there are names."""
+        """Return the names of nodes and strings, if they have names.
+
+        They are stored by the dimension of the table.
+        """
         return {}
 
     def _columns(self) -> Columns:
-        """Return the columns, time first."""
+        """Return the columns by name, time first."""
         return {
             name: column
             for quantity in self._quantities()

@@ -1,4 +1,4 @@
-"""Addresses of messages on the troubleshooting page."""
+"""Links from messages to the troubleshooting page."""
 
 from __future__ import annotations
 
@@ -78,28 +78,31 @@ _WORDS = {
 
 
 def find_address(message: str) -> str:
-    """Find the address of a message on the troubleshooting page.
+    """Find the address of the page section that explains a message.
 
-    Returns "" if the page does not explain it.
+    Returns "" if the troubleshooting page does not explain it.
     """
     anchor = next((anchor for anchor, words in _WORDS.items() if words in message), "")
     return f"{PAGE}#{anchor}" if anchor else ""
 
 
 def describe_address(message: str) -> list[str]:
-    """Build the line of a summary with the address of its message, if it has one."""
+    """Return a summary line with the address that explains a message.
+
+    The list is empty if there is none.
+    """
     address = find_address(message)
     return [f"see           {address}"] if address else []
 
 
 def append_address(message: str) -> str:
-    """Append the address to a message that the page explains."""
+    """Append the address that explains a message to it, if there is one."""
     address = find_address(message)
     return f"{message} (see {address})" if address else message
 
 
 def add_address(error: Error) -> Error:
-    """Add a note with the address of an error's message.
+    """Add a note with the address that explains an error.
 
     Python 3.11 and later print notes below the message.
     """

@@ -1,4 +1,4 @@
-"""Input checks that return a clean value or raise, and limits of numbers.
+"""Checks of arguments that return a converted value or raise.
 
 All functions raise TypeError or ValueError. The message has the field, the value and the cure.
 """
@@ -100,7 +100,10 @@ def rows_of_size(field: str, value: Any, size: int, item: str) -> Array:
 
 
 def nesting(value: Any) -> int:
-    """Count the dimensions of a value, 1 for other objects."""
+    """Return the number of array dimensions of a value.
+
+    It is 1 for objects that are no arrays.
+    """
     with suppress(Exception):  # an object's own __array__ may raise anything
         return np.ndim(value)
     return 1
@@ -115,7 +118,7 @@ def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
 
 
 def choice(field: str, value: Any, *options: str) -> Any:
-    """Check that a value is one of these words, and return it."""
+    """Check that a value is one of the given words, and return it."""
     if not isinstance(value, str) or value not in options:
         raise ValueError(
             f"{field} is {format_value(value)}: give {' or '.join(repr(option) for option in options)}"
@@ -251,14 +254,17 @@ def check_indices(field: str, values: Iterable[Any], count: int, item: str = "no
 
 
 def index_or_name(field: str, value: Any) -> Any:
-    """Check an index, at least 0, or a name, which a structure replaces by its index."""
+    """Check that a value is an index, at least 0, or a name.
+
+    A structure replaces the name by its index later.
+    """
     return str(value) if isinstance(value, str) else whole_number(field, value, 0)
 
 
 def node_pairs(
     field: str, value: Iterable[Sequence[int]], count: int, item: str, parallel: bool = False
 ) -> Indices:
-    """Convert members to an array (items, 2) of node indices.
+    """Convert bars or strings to an array (items, 2) of node indices.
 
     The ends differ. Two members join the same nodes only if `parallel`.
     """
@@ -296,9 +302,9 @@ def node_pairs(
 
 
 def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
-    """Return whether an array of integers has valid node pairs.
+    """Return whether an array of integers contains valid node pairs.
 
-    Other values, and the reason of an error, take a loop over the items.
+    Otherwise a slower loop over the items finds the error.
     """
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iu":
         return False
@@ -310,9 +316,9 @@ def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> Any:
-    """Check the type of a value, and return it.
+    """Check the type of a value, and return the value.
 
-    The message gives the example.
+    The message shows the example.
     """
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {format_value(value)}: give {example}")
@@ -320,7 +326,7 @@ def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: st
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
-    """Call a user's function.
+    """Call a user's function, and convert its exceptions.
 
     Any exception becomes a ValueError that ends with the hint.
     """
@@ -358,9 +364,9 @@ def _describe_shape(shape: tuple[int | None, ...]) -> str:
 
 @dataclass(frozen=True)
 class Check:
-    """Check of a field, as a part of its annotation.
+    """Check of a field, given in its annotation.
 
-    `check` takes name and value of the field, and returns a clean value or raises.
+    `check` takes name and value of the field, and returns a converted value or raises.
     """
 
     check: Callable[[str, Any], Any]
@@ -371,17 +377,20 @@ NonNegative = Annotated[float, Check(partial(positive_number, zero=True))]
 
 
 def whole(minimum: int, maximum: int = 2**31 - 1) -> Check:
-    """Build the check of a whole number in a range."""
+    """Build the check that a field is a whole number in a range."""
     return Check(partial(whole_number, minimum=minimum, maximum=maximum))
 
 
 def of_type(kinds: Any, example: str) -> Check:
-    """Build the check of a type; see `instance`."""
+    """Build the check that a field has a given type.
+
+    See `instance`.
+    """
     return Check(partial(instance, kinds=kinds, example=example))
 
 
 def one_of(*options: str) -> Check:
-    """Build the check of a word."""
+    """Build the check that a field is one of the given words."""
     return Check(lambda field, value: choice(field, value, *options))
 
 
@@ -391,9 +400,10 @@ Boolean = Annotated[bool, Check(flag)]
 
 
 def positive_each(item: str, zero: bool = False, infinite: bool = False) -> Check:
-    """Build the check of positive numbers, one for all or one for each item.
+    """Build the check that a field is positive.
 
-    They can be 0 if `zero`, and infinite if `infinite`. The value is kept as it is given.
+    It is one number or one for each item. Numbers can be 0 if `zero`, and infinite if `infinite`.
+    The value is not converted.
     """
 
     def check(field: str, value: Any) -> Any:

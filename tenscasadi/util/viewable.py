@@ -1,4 +1,4 @@
-"""Display of values in the viewer and in notebooks."""
+"""Display of structures and results in the viewer and in notebooks."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 class Viewable:
-    """Base of values that `tenscasadi.viewer.view` shows."""
+    """Base class of objects that `tenscasadi.viewer.view` shows."""
 
     def view(self, **options: Any) -> View:
-        """Show the value in a browser, or write a page.
+        """Show the object in a browser, or write a page.
 
         Parameters
         ----------
@@ -42,7 +42,7 @@ class Viewable:
         return view(self, **options)
 
     def _repr_html_(self) -> str:
-        """Draw a small picture with a caption for a notebook."""
+        """Draw a small captioned picture for a notebook."""
         from html import escape  # loads the names of 2000 characters
 
         from tenscasadi.plots.figures import structure  # matplotlib is slow to import
@@ -55,7 +55,7 @@ class Viewable:
 
 
 def in_notebook() -> bool:
-    """Return whether this runs in a notebook."""
+    """Return whether the code runs in a notebook."""
     python = sys.modules.get("IPython")
     shell = python.get_ipython() if python is not None else None
     return shell is not None and hasattr(shell, "kernel")

@@ -1,4 +1,4 @@
-"""Motions in a browser: played, compared, saved as pages, and simulated interactively."""
+"""Browser viewer: playback, comparison, saved pages, interactive simulation."""
 
 from __future__ import annotations
 

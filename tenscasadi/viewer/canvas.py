@@ -1,4 +1,4 @@
-"""Content of a picture on the scene of a server."""
+"""3-D scene of the viewer: members, grounds, arrows, camera, lights."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _FIELD_OF_VIEW = np.radians(40.0)
 
 
 class Layer:
-    """Shapes of one motion on a server's scene.
+    """Meshes of one trajectory in the viewer's 3-D scene.
 
     Each part is one batch of copies of a mesh, so that a frame consists of a few arrays.
 
@@ -73,9 +73,9 @@ class Layer:
         self.draw(self.frame, None)
 
     def paint(self, tint: Rgb | None) -> None:
-        """Choose the color of all shapes; None for their own.
+        """Choose one color for all meshes; None restores their own.
 
-        Shapes of one color are transparent.
+        Meshes of one color are transparent.
         """
         self.tint = tint
         self.shapes = MotionShapes(self._content, self._index, tint)
@@ -86,7 +86,7 @@ class Layer:
                 batch.opacity, batch.cast_shadow = self._opacity, tint is None
 
     def draw(self, frame: Frame, scale: ColorScale | None, kinds: Collection[str] = ()) -> None:
-        """Draw a frame, with arrows of kinds of forces."""
+        """Draw a frame, with arrows for some kinds of forces."""
         self.frame = frame
         shapes = self.shapes.build(frame, scale, kinds)
         for part, shape in zip(PARTS, shapes, strict=False):
@@ -163,9 +163,9 @@ class Layer:
 
 
 class Canvas:
-    """Content of a picture on the scene of a viser server.
+    """3-D scene of a viser server that shows trajectories.
 
-    All of it is below /shown, whose frame moves against the motion while it is followed.
+    All of it is below the scene node /shown, whose frame moves against the trajectory to follow it.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ class Canvas:
     Attributes
     ----------
     shaded : bool
-        Whether opaque motions cast shadows on grounds.
+        Whether opaque structures cast shadows on grounds.
     kinds : set of str
         Kinds of forces that are drawn as arrows.
     """
@@ -217,19 +217,19 @@ class Canvas:
 
     @property
     def margin(self) -> float:
-        """Margin of grounds around all motions, relative to their size."""
+        """Margin of grounds around all trajectories, relative to their size."""
         return 0.15 if self.apart else 0.7
 
     @property
     def _distance(self) -> float:
-        """Distance of motions that stand side by side [m]."""
+        """Distance between trajectories that are shown side by side [m]."""
         low, high = find_view(self.content, self.margin)
         return float(high[0] - low[0])
 
     def arrange(self, apart: bool) -> None:
-        """Show the motions side by side along x, or superimposed.
+        """Show trajectories side by side along x, or superimposed.
 
-        Side by side each has its surroundings.
+        Side by side each has its own grounds and obstacles.
         """
         self.apart, self._sun.cast_shadow = apart, self.shaded
         for k, layer in enumerate(self.layers):
@@ -251,7 +251,7 @@ class Canvas:
 
     @property
     def has_joints(self) -> bool:
-        """Whether bars of the first motion share nodes."""
+        """Whether bars of the first structure share nodes."""
         return bool(len(self.layers[0].shapes.joints))
 
     def color_by(self, quantity: str) -> None:
@@ -262,11 +262,11 @@ class Canvas:
         self.scale = ColorScale.of(quantity, values) if has_forces else None  # type: ignore[arg-type]
 
     def show(self, time: float) -> None:
-        """Show all motions at a time [s], or at their nearest end."""
+        """Show all trajectories at a time [s], or at their nearest end."""
         self.draw([motion.frame_at(time) for motion in self.content.motions])
 
     def draw(self, frames: Sequence[Frame]) -> None:
-        """Show a frame of each motion."""
+        """Show one frame of each trajectory."""
         self.frames = list(frames)
         away = self._start - frames[0].nodes.mean(axis=0) if self.followed else np.zeros(3)
         away = away if np.isfinite(away).all() else np.zeros(3)
@@ -277,11 +277,11 @@ class Canvas:
                 layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
-        """Convert a position on the page to the motion's [m]."""
+        """Convert a position on the page to coordinates of the structure [m]."""
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
-        """Convert a position of the motion to the layers' [m]."""
+        """Convert structure coordinates to coordinates of the layers [m]."""
         return np.asarray(position, dtype=float) + self._shift
 
 
@@ -313,7 +313,7 @@ def add_batch(
 def _add_surroundings(
     scene: viser.SceneApi, root: str, content: ViewContent, margin: float, shaded: bool
 ) -> None:
-    """Add the content except for its motions to a frame."""
+    """Add grounds, obstacles and targets to the 3-D scene."""
     low, high = find_view(content, margin)
     thin: dict[str, Any] = {"thickness_units": "screen"}
     lift = np.array([0.0, 0.0, 1e-3 * content.size])  # else the surface hides parts of the grid
@@ -359,7 +359,7 @@ def _add_surroundings(
 
 
 def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
-    """Add labeled axes at the lower corner of the motions."""
+    """Add labeled coordinate axes at the lower corner."""
     corner, length = content.corners[0], grid_spacing(content.size, 4)
     corner = corner + [0.0, 0.0, 0.02 * content.size]  # above a ground
     tips = corner + length * np.eye(3)
@@ -377,10 +377,10 @@ def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
 
 
 def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) -> None:
-    """Place the camera in front, slightly above and aside.
+    """Place the camera in front, slightly above and to the side.
 
-    Flat content is seen from its broad side. `more` is the width of further motions [m]. Pages that
-    are too narrow for this get a camera of their own.
+    Flat structures are seen from their broad side. `more` is the width of further trajectories [m].
+    Pages that are too narrow for this get a camera of their own.
     """
     low, high = content.corners
     for center, radius in content.obstacles:
@@ -416,7 +416,7 @@ def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) 
 def fit_camera(
     middle: Array, direction: Array, size: float, width: float, height: float
 ) -> tuple[Array, Array]:
-    """Find the camera that shows a ball beside the panel of a page.
+    """Find a camera that shows a sphere beside the page's panel.
 
     Parameters
     ----------

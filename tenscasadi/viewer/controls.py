@@ -1,4 +1,7 @@
-"""Controls that recorded and live motions share: color, visibility, labels and legend."""
+"""Controls of the viewer: color, visibility, labels and legend.
+
+Playback and interactive simulation share them.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ SPEEDS = ("0.01", "0.02", "0.05", "0.1", "0.2", "0.5", "1", "2", "5", "10")
 
 
 class ViewControls:
-    """Controls of the picture.
+    """Controls of the picture in the viewer's panel.
 
     Parameters
     ----------
@@ -48,24 +51,24 @@ class ViewControls:
         self._add_hover(server.scene)
 
     def add_follow(self) -> None:
-        """Add the box that keeps the structure in view."""
+        """Add the check box that keeps the structure in view."""
         follow = partial(setattr, self.canvas, "followed")
         self._add_box("Follow", self.canvas.followed, follow, "keep the structure in view")
 
     def add_color(self) -> None:
-        """Add the choice of the quantity that colors the strings."""
+        """Add the menu of the quantity that colors the strings."""
         choice = self._gui.add_dropdown(
             "Color", tuple(QUANTITIES), initial_value=self.canvas.quantity
         )
         choice.on_update(lambda _: self._change(lambda: self.color_by(choice.value)))
 
     def add_shadows(self) -> None:
-        """Add the box of shadows on grounds."""
+        """Add the check box of shadows on grounds."""
         hint = "shadows on grounds; slow without a graphics card"
         self._add_box("Shadows", self.canvas.shaded, self.canvas.cast_shadows, hint)
 
     def add_visibility(self) -> None:
-        """Add the boxes that show and arrange several motions."""
+        """Add check boxes that show and arrange several trajectories."""
         if len(self.canvas.layers) > 1:
             hint = "show the motions beside each other"
             self._add_box("Side by side", self.canvas.apart, self._arrange, hint)
@@ -73,12 +76,12 @@ class ViewControls:
             self._add_box(layer.shapes.motion.name, True, partial(setattr, layer.root, "visible"))
 
     def _arrange(self, apart: bool) -> None:
-        """Show the motions side by side, or superimposed."""
+        """Show the trajectories side by side, or superimposed."""
         self.canvas.arrange(apart)
         self.update_legend()
 
     def add_forces(self) -> None:
-        """Add a box for each kind of forces on nodes."""
+        """Add a check box for each kind of forces on nodes."""
         for forces in self.canvas.content.motions[0].forces:
             is_shown = forces.name in self.canvas.kinds
             self._add_box(
@@ -91,7 +94,10 @@ class ViewControls:
         self.update_legend()
 
     def add_labels(self) -> None:
-        """Add the boxes that number nodes and members, and label clicked ones."""
+        """Add check boxes that number nodes and members.
+
+        Clicked nodes and members get a label, too.
+        """
         with self._gui.add_folder("Numbers", expand_by_default=False):
             for kind in KINDS:
                 if kind in self.canvas.layers[0].batches:
@@ -104,7 +110,7 @@ class ViewControls:
                     )
 
     def add_screenshot(self, name: str) -> None:
-        """Add the button that lets a page save its picture."""
+        """Add the button that saves the picture in the browser."""
         hint = "the picture as a PNG file"
         button = self._gui.add_button("Screenshot", hint=hint)
         button.on_click(lambda event: send_screenshot(event.client, name))
@@ -114,26 +120,26 @@ class ViewControls:
         self._legend = self._gui.add_html(build_legend(self.canvas))
 
     def update_legend(self) -> None:
-        """Bring the legend up to date."""
+        """Update the legend."""
         if self._legend is not None:
             self._legend.content = build_legend(self.canvas)
 
     def color_by(self, quantity: str) -> None:
         """Color strings by a quantity.
 
-        Unknown ones, which a page can send, are ignored.
+        Unknown quantities, which a page can send, are ignored.
         """
         if quantity in QUANTITIES:
             self.canvas.color_by(quantity)
             self.update_legend()
 
     def click(self, motion: int, kind: str, index: int | None) -> None:
-        """Toggle the label of a clicked item."""
+        """Show or remove the label of a clicked node or member."""
         if isinstance(index, int):
             self._change(lambda: self.labels.toggle((motion, kind, index)))
 
     def _add_hover(self, scene: viser.SceneApi) -> None:
-        """Show the name of the item on which the pointer rests.
+        """Show the name of the node or member under the pointer.
 
         The click on an item comes before that on the scene, which comes without an item, too.
         """
@@ -164,7 +170,7 @@ class ViewControls:
 
 
 def add_speed(gui: viser.GuiApi, speed: float, set_speed: Callable[[float], Any]) -> None:
-    """Add the choice of the speed."""
+    """Add the menu of the playback speed."""
     current = f"{speed:g}"
     speeds = tuple(sorted({*SPEEDS, current}, key=float))
     hint = "simulated seconds per second"

@@ -1,4 +1,4 @@
-"""Page that follows the solver of a plan."""
+"""Page that shows the convergence of a plan's solver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ mpl = lazy_module("matplotlib")
 
 
 class ConvergencePage(Served):
-    """Chart of objective and violation that follows a solver in the viewer.
+    """Browser page with objective and constraint violation of a solver.
 
     Give it to `ocp.solve`: ``ocp.solve(problem, progress=page)``. The button "Stop" ends the search
     with the best plan so far. The page stays until it is closed.
@@ -85,7 +85,7 @@ class ConvergencePage(Served):
         return not self._stopped
 
     def draw(self) -> None:
-        """Draw all iterations so far, as at the end of a search."""
+        """Draw all iterations so far."""
         text = StringIO()
         with mpl.rc_context({"svg.fonttype": "none"}):
             self._convergence.figure().savefig(text, format="svg")

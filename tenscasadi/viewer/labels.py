@@ -1,4 +1,4 @@
-"""Labels of nodes and members."""
+"""Labels of nodes and members in the viewer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Item = tuple[int, str, int]  # index of the motion, one of KINDS, index of the i
 
 
 class Labels:
-    """Labels on a canvas."""
+    """Labels of nodes and members on a canvas."""
 
     def __init__(self, server: viser.ViserServer, canvas: Canvas) -> None:
         self._scene, self._canvas = server.scene, canvas
@@ -29,7 +29,10 @@ class Labels:
         self._hover: Any = None
 
     def has(self, item: Item) -> bool:
-        """Return whether an item exists; a page can name any."""
+        """Return whether a node or member exists.
+
+        A page can name any.
+        """
         k, kind, index = item
         motions = self._canvas.content.motions
         if not (0 <= k < len(motions) and kind in KINDS):
@@ -37,7 +40,10 @@ class Labels:
         return 0 <= index < motions[k].count(kind) * motions[k].copies
 
     def hover(self, item: Item | None) -> None:
-        """Show the name of the item under the pointer; None for none."""
+        """Show the name of the item under the pointer.
+
+        None removes it.
+        """
         self.hovered = item if item is not None and self.has(item) else None
         if self._hover is not None:
             self._hover.remove()
@@ -96,7 +102,10 @@ class Labels:
             self._place(self._hover, self.hovered, whole=False)
 
     def _place(self, label: Any, item: Item, whole: bool) -> None:
-        """Move a label to its item, and write the name or the whole description."""
+        """Move a label to its node or member, and write its text.
+
+        The text is the name or, if `whole`, the whole description.
+        """
         k, kind, index = item
         layer = self._canvas.layers[k]
         motion = layer.shapes.motion
@@ -117,7 +126,7 @@ def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
 
 
 def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
-    """Describe a node or member: name, nodes, and quantities with units."""
+    """Describe a node or member: name, nodes, and quantities."""
     copy, own = divmod(index, motion.count(kind))
     name, number = motion.names[kind][own], f"{kind[:-1]} {own}"
     if name != number:

@@ -1,4 +1,4 @@
-"""Legend as HTML, for the live panel and for saved pages."""
+"""Legend as HTML, for the viewer and for saved pages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tenscasadi.viewer.canvas import Canvas
 
 
 def build_legend(canvas: Canvas) -> str:
-    """Build the legend of a canvas."""
+    """Build the HTML legend of a canvas."""
     scale = "" if canvas.scale is None else _build_scale(canvas.scale)
     rows = "".join(_build_row(color, text) for color, text in _list_colors(canvas))
     notes = "".join(f'<div class="note">{escape(note)}</div>' for note in _list_notes(canvas))
@@ -21,7 +21,7 @@ def build_legend(canvas: Canvas) -> str:
 
 
 def _build_scale(scale: ColorScale) -> str:
-    """Build the bar of colors with its numbers."""
+    """Build the HTML color bar with its numbers."""
     title = f"<div>{escape(scale.quantity)} of strings ({escape(scale.unit)})</div>"
     if scale.largest <= 0:
         return title

@@ -1,4 +1,4 @@
-"""Screenshots and films of a page, which its browser saves."""
+"""Screenshots and films of the viewer, saved in the browser."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PATIENCE = 60.0  # s, for one picture of a page that draws in software
 
 
 def send_screenshot(client: Any, name: str) -> None:
-    """Let a page save its present picture as a PNG file."""
+    """Send the present picture to the browser as a PNG file."""
     from PIL import Image  # slow import
 
     file = BytesIO()
@@ -26,7 +26,7 @@ def send_screenshot(client: Any, name: str) -> None:
 def send_film(
     client: Any, name: str, times: Iterable[float], show: Callable[[float], None], rate: int
 ) -> None:
-    """Let a page save a film as an mp4 file.
+    """Send a film to the browser as an mp4 file.
 
     Parameters
     ----------
@@ -71,6 +71,6 @@ def send_film(
 
 
 def _take_picture(client: Any) -> NDArray[np.uint8]:
-    """Ask a page for its picture (height, width, 3)."""
+    """Render the picture (height, width, 3) in the browser."""
     size = int(client.camera.image_height), int(client.camera.image_width)
     return np.asarray(client.get_render(*size, timeout=_PATIENCE))

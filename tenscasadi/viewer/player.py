@@ -1,4 +1,4 @@
-"""Player of recorded motions: play, pause, time and speed."""
+"""Playback of trajectories: play, pause, time and speed."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class Player:
-    """Player of a canvas, controlled by the panels of all its pages.
+    """Playback of a canvas, controlled by the panels of all its pages.
 
     Attributes
     ----------
     time : float
         Displayed time [s].
     playing : bool
-        Whether the time runs.
+        Whether playback is running.
     speed : float
         Simulated seconds per second.
     """
@@ -70,7 +70,7 @@ class Player:
         self._runner.start()
 
     def show(self, time: float) -> None:
-        """Show a time [s]."""
+        """Show the frame of a time [s]."""
         self._runner.call(lambda: self._show(time))
 
     def play(self, playing: bool) -> None:
@@ -78,9 +78,9 @@ class Player:
         self._runner.call(lambda: self._play(playing))
 
     def film(self, client: Any, name: str) -> None:
-        """Let a page save a film of the motion.
+        """Save a film of the playback in the browser.
 
-        The page shows the reason if there can be none.
+        The page shows the reason if that is impossible.
         """
         self.play(False)
         try:
@@ -113,7 +113,7 @@ class Player:
             self._tell()
 
     def _tell(self) -> None:
-        """Move slider and charts to the displayed time."""
+        """Move the slider and the charts' lines to the displayed time."""
         self._slider.value = self.time
         if self._mark is not None:
             self._mark.content = mark_time(self.time)
@@ -130,9 +130,9 @@ class Player:
         self.controls.add_follow()
 
     def _scrub(self, event: Any) -> None:
-        """Show the time of a dragged slider.
+        """Show the time of a slider that the user drags.
 
-        Moves by `_tell` have no client.
+        Changes of the slider by `_tell` have no client, and are ignored.
         """
         value = self._slider.value
         if event.client is None or not isinstance(value, (int, float)):

@@ -1,4 +1,4 @@
-"""Thread that draws frames, and executes orders between them."""
+"""Thread that draws frames, and executes functions between them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ INVALID = (TypeError, ValueError, IndexError, KeyError, OverflowError)
 
 
 class Runner:
-    """Thread that alternates between frames and orders.
+    """Thread that alternates between frames and queued functions.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Runner:
 
     @property
     def is_busy(self) -> bool:
-        """Whether orders are waiting."""
+        """Whether functions are waiting in the queue."""
         return not self._orders.empty()
 
     @property
@@ -44,7 +44,7 @@ class Runner:
         return self._thread.is_alive()
 
     def do(self, order: Callable[[], Any]) -> None:
-        """Execute an order before the next frame.
+        """Queue a function for execution before the next frame.
 
         Errors of invalid values are dropped, because the values come from a page.
         """
@@ -52,7 +52,7 @@ class Runner:
         self._wake.set()
 
     def call(self, order: Callable[[], _Result]) -> _Result:
-        """Execute an order and wait for its result.
+        """Execute a function between frames and wait for its result.
 
         After the end of the thread it is executed at once.
         """

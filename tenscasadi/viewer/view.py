@@ -1,4 +1,4 @@
-"""Structures, scenes, motions and plans in a browser, or as a page."""
+"""Viewer of structures, scenes, trajectories and plans in a browser."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait, 
 
 
 class View(Served):
-    """View of motions: in the browser by `show`, as a file by `save`.
+    """Viewer of trajectories: in the browser by `show`, as a file by `save`.
 
-    In a notebook it displays itself. `view` returns one.
+    In a notebook it displays itself. `view` returns it.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class View(Served):
             self.close()
 
     def close(self) -> None:
-        """Stop serving."""
+        """Stop the server of the viewer."""
         if self.player is not None:
             self.player.close()
         if self._server is not None:
@@ -135,7 +135,7 @@ class View(Served):
         self._server = self.player = self.url = None
 
     def save(self, path: FilePath) -> Path:
-        """Write a self-contained page, which plays in any browser offline.
+        """Write a self-contained HTML page with playback.
 
         Parameters
         ----------
@@ -163,7 +163,7 @@ class View(Served):
         return target
 
     def page(self) -> str:
-        """Build the page that `save` writes.
+        """Build the HTML page that `save` writes.
 
         Returns
         -------
@@ -191,7 +191,7 @@ class View(Served):
         return canvas
 
     def _repr_html_(self) -> str:
-        """Build the page for a notebook."""
+        """Build the HTML page for a notebook."""
         return f'<iframe srcdoc="{escape(self.page(), quote=True)}" width="100%" height="560" style="border:1px solid #ddd"></iframe>'
 
 
@@ -211,7 +211,7 @@ def view(
     browser: bool | None = None,
     wait: bool | None = None,
 ) -> View:
-    """Show structures, scenes, motions and plans in a browser.
+    """Show structures, scenes, trajectories and plans in a browser.
 
     Several of them are superimposed, or side by side.
 

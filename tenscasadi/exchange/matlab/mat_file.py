@@ -110,7 +110,7 @@ def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
 
 
 def _read_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield types and contents of consecutive elements.
+    """Yield types and contents of consecutive elements of a .mat file.
 
     Raises ValueError if an element exceeds the data.
     """
@@ -129,9 +129,9 @@ def _read_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryvi
 
 
 def _read_matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
-    """Read name and value of an array; None for other kinds of values.
+    """Read the name and value of an array in a .mat file.
 
-    Raises ValueError and others if it is damaged.
+    The value is None for other kinds of values. Raises ValueError and others if it is damaged.
     """
     if not len(content):
         return "", np.zeros((0, 0))

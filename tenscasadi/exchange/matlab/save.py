@@ -1,4 +1,4 @@
-"""Export of structures and trajectories with the names of MOTES."""
+"""Export of structures and trajectories with MOTES' variable names."""
 
 from __future__ import annotations
 
@@ -102,9 +102,9 @@ def _build_matrices(nodes: Array, bars: Indices, strings: Indices) -> dict[str, 
 
 
 def _build_properties(structure: Structure) -> dict[str, Any]:
-    """Build rest lengths as a column, other values as rows.
+    """Build member properties in the shapes that MOTES accepts.
 
-    MOTES accepts no other shapes.
+    Rest lengths are a column, other values rows.
     """
     rows = {"k": structure.stiffness, "c": structure.damping, "m": structure.bar_mass}
     return {
@@ -162,7 +162,10 @@ def _build_cables(structure: Structure) -> dict[str, Any]:
 
 
 def _build_body(body: RigidBody) -> dict[str, Any]:
-    """Build the struct of a body; center and inertia only where they are given."""
+    """Build the MATLAB struct of a rigid body.
+
+    Center and inertia are included only where they are given.
+    """
     given = {"mass": body.mass, "center": body.center, "inertia": body.inertia}
     faces = {} if body.faces is None else {"faces": np.array(body.faces).reshape(-1, 3) + 1.0}
     return {

@@ -1,4 +1,4 @@
-"""Import of structures with names of MOTES and TsgFEM."""
+"""Import of structures with variable names of MOTES and TsgFEM."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _STRING_NODE_MASS = 0.1  # kg, the default of MOTES
 
 
 class ParsedStructure(NamedTuple):
-    """Structure of a file.
+    """Structure that was read from a MATLAB file.
 
     Attributes
     ----------
@@ -125,7 +125,7 @@ def load_mat(
 def find_structure(
     source: Source, variables: Variables, name: str | None, options: Variables
 ) -> ParsedStructure:
-    """Build the structure that variables of a file describe.
+    """Build the structure that variables of a MATLAB file describe.
 
     Raises TypeError, SceneFileError.
     """
@@ -146,9 +146,9 @@ def find_structure(
 
 
 def _choose(source: Source, variables: Variables, name: str | None) -> str | None:
-    """Select the struct that describes a structure.
+    """Select the struct of the file that describes a structure.
 
-    Returns None if variables of the file do.
+    Returns None if variables of the file describe it.
     """
     structs = [
         key for key, value in variables.items() if isinstance(value, dict) and _describes(value)
@@ -226,9 +226,9 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
 
 
 def _lump_string_mass(source: Source, structure: Structure) -> Structure:
-    """Lump the mass of strings at their ends if free nodes have no other mass.
+    """Move string masses to the ends if free nodes have no other mass.
 
-    A strict import keeps it in the strings.
+    A strict import does not.
     """
     s = structure
     has_mass = s.node_mass > 0
@@ -274,7 +274,10 @@ def _read_node_mass(source: Source, variables: Variables, count: int, bars: Indi
 
 
 def _read_pins(variables: Variables, count: int) -> dict[int, str]:
-    """Read the pinned axes of nodes. Raises ValueError."""
+    """Read the pinned axes of nodes.
+
+    Raises ValueError.
+    """
     held = np.zeros((count, 3), dtype=bool)
     axes = ("pinned_X", "pinned_Y", "pinned_Z")
     if set(axes) & set(variables):
@@ -298,7 +301,10 @@ def _read_pins(variables: Variables, count: int) -> dict[int, str]:
 
 
 def _read_cables(source: Source, variables: Variables, count: int) -> dict[str, Any]:
-    """Read cables and their friction. Raises TypeError, ValueError."""
+    """Read cables and their friction.
+
+    Raises TypeError, ValueError.
+    """
     if "cable_strings" not in variables:
         return {}
     cables = read_rows("cable_strings", variables["cable_strings"], count)
@@ -310,7 +316,10 @@ def _read_cables(source: Source, variables: Variables, count: int) -> dict[str, 
 
 
 def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
-    """Read rigid bodies, the fields of a struct. Raises TypeError, ValueError."""
+    """Read rigid bodies, the fields of a struct.
+
+    Raises TypeError, ValueError.
+    """
     bodies = []
     structs = variables.get("rigid_bodies", {})
     for name, body in structs.items() if isinstance(structs, dict) else [("", structs)]:
@@ -328,7 +337,10 @@ def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
 
 
 def _read_rollers(variables: Variables, count: int) -> dict[int, Array]:
-    """Read the normals of nodes on rollers. Raises TypeError, ValueError."""
+    """Read the normals of nodes on rollers.
+
+    Raises TypeError, ValueError.
+    """
     if "roller_nodes" not in variables:
         return {}
     nodes = read_indices("roller_nodes", variables["roller_nodes"], count)

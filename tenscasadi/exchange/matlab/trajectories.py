@@ -20,7 +20,7 @@ from tenscasadi.util.validate import Array, FilePath, Indices, finite_array, for
 
 
 class ForeignTrajectory(NamedTuple):
-    """Trajectory of another program.
+    """Trajectory of MOTES or TsgFEM.
 
     Attributes
     ----------
@@ -38,7 +38,10 @@ class ForeignTrajectory(NamedTuple):
     force_density: Array | None
 
     def select(self, columns: Indices) -> ForeignTrajectory:
-        """Select nodes. Raises ValueError."""
+        """Select the nodes with given columns of N.
+
+        Raises ValueError.
+        """
         count = self.nodes.shape[1]
         if max(columns, default=-1) >= count:
             raise ValueError(f"its motion has {count} nodes, its N more")
@@ -125,7 +128,10 @@ def load_mat_trajectory(
 
 
 def _restore(variables: Variables) -> Trajectory:
-    """Restore a trajectory of `save_mat`. Raises KeyError, TypeError, ValueError."""
+    """Restore a trajectory that `save_mat` wrote.
+
+    Raises KeyError, TypeError, ValueError.
+    """
     history, N = variables["History"], finite_array("N", variables["N"], (3, None))
     count = N.shape[1]
     content: dict[str, Any] = {
@@ -150,7 +156,10 @@ def _restore(variables: Variables) -> Trajectory:
 
 
 def _find(variables: Variables) -> ForeignTrajectory:
-    """Find the trajectory among variables and structs. Raises TypeError, ValueError."""
+    """Find a trajectory among the variables and structs of a file.
+
+    Raises TypeError, ValueError.
+    """
     scopes = {"": variables}
     scopes |= {name: value for name, value in variables.items() if isinstance(value, dict)}
     found = {
@@ -216,7 +225,7 @@ _ADDED = ("error_estimate",)  # fields that files of earlier versions do not hav
 
 
 def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str) -> Trajectory:
-    """Build a trajectory of the model at these states.
+    """Build a trajectory with forces by the model.
 
     Raises ValueError.
     """

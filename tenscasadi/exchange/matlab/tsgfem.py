@@ -1,4 +1,4 @@
-"""Variables of TsgFEM, converted into those of MOTES."""
+"""Conversion of TsgFEM's variables to those of MOTES."""
 
 from __future__ import annotations
 
@@ -80,7 +80,10 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
 
 
 def _read_cables(variables: Variables, count: int) -> Indices:
-    """Read the cable of each member, its row in S."""
+    """Read the cable of each member from the matrix S.
+
+    A cable is a row of S.
+    """
     S: Any = variables.get("S")
     S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S
     if (
@@ -100,7 +103,7 @@ def _order_cables(
     """Order the strings of each cable from end to end.
 
     Strings (α,) are rows of `pairs`, and `cable` (α,) numbers their cables. Strings that form no
-    path stay single. Raises ValueError if the import is strict.
+    path remain separate. Raises ValueError if the import is strict.
     """
     found = []
     for own in (np.flatnonzero(cable == row) for row in np.unique(cable)):
@@ -123,7 +126,7 @@ def _order_cables(
 
 
 def _add_rest_lengths(variables: Variables, lengths: Array) -> Variables:
-    """Add the rest lengths l0 of members (m,), if the file has none.
+    """Add the rest lengths l0 of members (m,) if they are missing.
 
     They are the first ones of l0_t, or E A l/(E A + t) for the forces t, or t = q l.
     """

@@ -1,4 +1,4 @@
-"""Arrays of MATLAB variables: values, indices, and pairs of nodes."""
+"""Conversion of MATLAB arrays: values, indices, and pairs of nodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Variables = Mapping[str, Any]
 def read_values(source: Source, variables: Variables, key: str, count: int) -> Array:
     """Read one number per item, or one for all.
 
-    A matrix with a column for each time is left out but for its first column. Raises TypeError,
+    Of a matrix with a column for each time, only the first column is read. Raises TypeError,
     ValueError.
     """
     value = variables[key]
@@ -36,7 +36,10 @@ def read_values(source: Source, variables: Variables, key: str, count: int) -> A
 
 
 def read_indices(key: str, value: Any, count: int) -> Indices:
-    """Convert indices from one-based to zero-based. Raises ValueError."""
+    """Convert MATLAB indices, which count from 1, to zero-based ones.
+
+    Raises ValueError.
+    """
     if not isinstance(value, np.ndarray):
         raise ValueError(f"{key} is {format_value(value)}: give numbers from 1 to {count}")
     numbers = np.asarray(value, dtype=float).ravel()
@@ -46,7 +49,7 @@ def read_indices(key: str, value: Any, count: int) -> Indices:
 
 
 def read_pairs(key: str, value: Any, count: int) -> Indices:
-    """Convert a connectivity matrix or list into zero-based pairs.
+    """Convert a connectivity matrix or list to zero-based node pairs.
 
     A list counts from 1. Raises TypeError, ValueError.
     """
@@ -76,7 +79,10 @@ def read_pairs(key: str, value: Any, count: int) -> Indices:
 
 
 def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
-    """Write lists of indices as rows that count from 1, filled up with zeros."""
+    """Convert lists of indices to a matrix for MATLAB.
+
+    Its rows count from 1 and are padded with zeros.
+    """
     table = np.zeros((len(rows), max(map(len, rows), default=0)))
     for own, row in zip(table, rows, strict=True):
         own[: len(row)] = np.array(row) + 1.0
@@ -84,7 +90,10 @@ def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
 
 
 def read_rows(key: str, value: Any, count: int) -> list[list[int]]:
-    """Read the lists of indices of `pad_rows`. Raises TypeError, ValueError."""
+    """Read the lists of indices that `pad_rows` converted.
+
+    Raises TypeError, ValueError.
+    """
     table = finite_array(key, value, (None, None))
     return [read_indices(key, row[row != 0], count).tolist() for row in table]
 

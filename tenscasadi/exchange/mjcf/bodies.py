@@ -1,4 +1,4 @@
-"""Rigid pieces of an MJCF file."""
+"""Rigid pieces of an MJCF file (MuJoCo's XML)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tenscasadi.util.validate import Array
 
 @dataclass
 class Piece:
-    """Rigid piece, of bodies fixed to each other.
+    """Rigid piece of an MJCF file: bodies fixed to each other.
 
     Attributes
     ----------
@@ -49,14 +49,14 @@ class Piece:
 
 
 class Site(NamedTuple):
-    """Site: its piece and its position [m]."""
+    """Site of an MJCF file: its rigid piece and its position [m]."""
 
     piece: int
     place: Array
 
 
 class UnreadBody(NamedTuple):
-    """Body whose content has not been read.
+    """Body of an MJCF file whose content has not been read.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class UnreadBody(NamedTuple):
 
 
 class Bodies:
-    """Pieces of a file in MuJoCo's reference configuration.
+    """Rigid pieces of an MJCF file in the reference configuration.
 
     Attributes
     ----------
@@ -108,13 +108,13 @@ class Bodies:
         self.frames.setdefault("world", (0, WORLD))
 
     def moving(self) -> Iterator[tuple[int, Piece]]:
-        """Yield the index and piece of all moving pieces."""
+        """Yield the index and piece of all pieces that can move."""
         return ((k, piece) for k, piece in enumerate(self.pieces) if k and k not in self._merged)
 
     def find_body(self, element: Element, attribute: str) -> tuple[int, Pose]:
         """Find piece and frame of the body that an attribute names.
 
-        The default is the world.
+        The default is the world. Raises SceneFileError.
         """
         name = element.text(attribute, "world")
         if name not in self.frames:
@@ -122,7 +122,10 @@ class Bodies:
         return self.frames[name]
 
     def find_site(self, element: Element, attribute: str = "site") -> Site:
-        """Find the site that an attribute names. Raises SceneFileError."""
+        """Find the site that an attribute names.
+
+        Raises SceneFileError.
+        """
         name = element.text(attribute)
         if name not in self.sites:
             raise element.error(f"is {name!r}, which is no site: name one", attribute)
@@ -157,7 +160,10 @@ class Bodies:
             piece.parent = kept if piece.parent == merged else piece.parent
 
     def _read(self, body: UnreadBody) -> list[UnreadBody]:
-        """Add the content of a body to its piece; returns the bodies inside."""
+        """Add the content of a body to its piece.
+
+        Returns the bodies inside.
+        """
         element, own, piece, childclass = body
         frame = WORLD if self._units.is_global else own
         inner: list[UnreadBody] = []

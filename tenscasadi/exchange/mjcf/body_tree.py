@@ -1,4 +1,4 @@
-"""Body tree of MuJoCo: parents, joints and loop-closing constraints."""
+"""MuJoCo's body tree of a structure: parents, joints, loop closures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NO_DIRECTION = np.zeros((0, 3))
 
 
 class Link(NamedTuple):
-    """Bar of the body tree with its joint.
+    """Bar in MuJoCo's body tree, with the joint to its parent.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Link(NamedTuple):
 
 
 class Tie(NamedTuple):
-    """Loop-closing constraint of a node.
+    """Loop-closing constraint of a node in MuJoCo.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Tie(NamedTuple):
 
 
 class BodyTree(NamedTuple):
-    """Body tree of a structure.
+    """MuJoCo's body tree of a structure.
 
     Attributes
     ----------
@@ -78,7 +78,10 @@ class BodyTree(NamedTuple):
 
 
 def find_held_directions(s: Structure) -> dict[int, Array]:
-    """Find the orthonormal directions (k, 3) of each constrained node."""
+    """Find the constrained directions (k, 3) of each supported node.
+
+    They are orthonormal.
+    """
     axes = {
         node: np.eye(3)[["xyz".index(axis) for axis in names]] for node, names in s.pinned.items()
     }
@@ -86,9 +89,9 @@ def find_held_directions(s: Structure) -> dict[int, Array]:
 
 
 def find_free_directions(held: Array) -> Array:
-    """Compute orthonormal directions perpendicular to the held ones.
+    """Compute orthonormal directions perpendicular to given ones.
 
-    Shapes are (k, 3) and (3 − k, 3).
+    Shapes are (3 − k, 3) and (k, 3).
     """
     if np.count_nonzero(held) == len(held):  # coordinate axes: keep the others exact
         return np.eye(3)[~held.any(axis=0)]
@@ -96,16 +99,16 @@ def find_free_directions(held: Array) -> Array:
 
 
 def build_tree(s: Structure, balls: bool) -> BodyTree:
-    """Build the body tree of a structure. Raises ValueError.
+    """Build MuJoCo's body tree of a structure.
 
     With `balls`, bars that share a node are connected there by a ball joint. Otherwise each bar is
-    a body by itself.
+    a body by itself. Raises ValueError.
     """
     return _TreeBuilder(s, balls).grow()
 
 
 class _TreeBuilder:
-    """Builder of the body tree.
+    """Builder of MuJoCo's body tree.
 
     Bars with pinned nodes come first.
     """
@@ -148,7 +151,7 @@ class _TreeBuilder:
         return Link(bar, None, node, find_free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
-        """Add a bar to the tree and yield possible children."""
+        """Add a bar to the tree, and yield possible children."""
         self.found.links.append(link)
         for node in self.bars[link.bar]:
             joint = node == link.node

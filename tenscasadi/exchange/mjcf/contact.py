@@ -29,7 +29,7 @@ IMPEDANCE = 1e-4
 
 
 class ContactWeights(NamedTuple):
-    """Scales of contact parameters.
+    """Inverse masses and loads that scale MuJoCo's contact parameters.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class ContactWeights(NamedTuple):
 
 
 def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
-    """Compute the contact scales of a scene.
+    """Compute inverse masses and loads for contact parameters.
 
-    A is 0 at fixed nodes.
+    The inverse mass A is 0 at fixed nodes.
     """
     s = scene.modelled
     held, bars = find_held_directions(s), inverse_weights(s, tree) if len(s.bars) else np.zeros(0)
@@ -76,10 +76,10 @@ def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
 
 
 def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
-    """Compute the inverse effective mass of the body of each node [1/kg].
+    """Compute inverse effective masses of rigid bodies by node [1/kg].
 
     It is the acceleration of the center of mass per unit force, averaged over all directions. Nodes
-    of bars and pinned nodes are left out.
+    of bars and pinned nodes are omitted.
     """
     found: dict[int, float] = {}
     for body in s.bodies:
@@ -110,16 +110,16 @@ def _point_velocity(arm: Array) -> Array:
 
 
 def list_touching(ground: Ground, s: Structure, inverse: Array) -> list[int]:
-    """List the moving nodes that a ground acts on."""
+    """List the moving nodes on which a ground acts."""
     return [node for node in ground.select_nodes(s).tolist() if inverse[node] > 0]
 
 
 def contact_numbers(
     ground: Surface | BarContact, inverse: float, standing: float
 ) -> dict[str, list[float]]:
-    """Compute the contact attributes of a node or bar, and a ground or bar.
+    """Compute MuJoCo's contact attributes of a node or bar.
 
-    They are its stiffness, damping and friction, per mass.
+    They are stiffness, damping and friction, per mass, of its contact with a ground or another bar.
     """
     impedance = [IMPEDANCE, IMPEDANCE, IMPEDANCE, 0.5, 2.0]
     found = {
@@ -138,7 +138,10 @@ def contact_numbers(
 def ground_numbers(
     solref: Array, solreffriction: Array, friction: float | None, inverse: float, standing: float
 ) -> dict[str, float | None]:
-    """Compute stiffness, damping, friction and slip speed from contact attributes."""
+    """Compute parameters of a `Ground` from MuJoCo's contact attributes.
+
+    They are stiffness, damping, friction and slip speed.
+    """
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {
         "stiffness": stiffness / inverse,

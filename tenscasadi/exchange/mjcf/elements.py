@@ -1,4 +1,4 @@
-"""XML elements with line numbers.
+"""XML elements of MJCF files, with line numbers.
 
 Only elements and attributes are read, and files that `include` names in the folder of the file.
 """
@@ -20,7 +20,7 @@ from tenscasadi.util.validate import LARGEST, MAX_COUNT, Array, format_value
 
 @dataclass(frozen=True)
 class Element:
-    """XML element with its attributes, children and place."""
+    """XML element with its attributes, children and line number."""
 
     tag: str
     attributes: Mapping[str, str]
@@ -33,7 +33,7 @@ class Element:
         return iter(self.children)
 
     def find(self, *tags: str) -> list[Element]:
-        """Find the children with these tags."""
+        """Return the children with given tags."""
         return [child for child in self.children if child.tag in tags]
 
     def replace(self, attributes: Mapping[str, str]) -> Element:
@@ -47,7 +47,7 @@ class Element:
         return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
 
     def leave_out(self, message: str, attribute: str = "") -> None:
-        """Leave out the element or an attribute.
+        """Omit the element or an attribute from the import.
 
         Raises SceneFileError if strict.
         """
@@ -58,7 +58,10 @@ class Element:
         return self.attributes.get(attribute, default)
 
     def word(self, attribute: str, default: str, *words: str) -> str:
-        """Read an attribute with given alternatives. Raises SceneFileError."""
+        """Read an attribute that must be one of given words.
+
+        Raises SceneFileError.
+        """
         found = self.text(attribute, default)
         if found not in words:
             raise self.error(
@@ -67,9 +70,9 @@ class Element:
         return found
 
     def flag(self, attribute: str, default: bool | None = None) -> bool | None:
-        """Read a Boolean attribute. Raises SceneFileError.
+        """Read a Boolean attribute.
 
-        Returns None for "auto", and the default if it is missing.
+        Returns None for "auto", and the default if it is missing. Raises SceneFileError.
         """
         if attribute not in self.attributes:
             return default
@@ -80,9 +83,9 @@ class Element:
     def numbers(
         self, attribute: str, count: int | Sequence[int], default: Sequence[float] | None = None
     ) -> Array:
-        """Read an attribute of finite numbers. Raises SceneFileError.
+        """Read an attribute of finite numbers.
 
-        `count` is their number, or the allowed numbers.
+        `count` is their number, or the allowed numbers. Raises SceneFileError.
         """
         counts = [count] if isinstance(count, int) else list(count)
         expected = f"{' or '.join(map(str, counts))} number{'s' * (counts != [1])}"
@@ -101,11 +104,17 @@ class Element:
         return found
 
     def number(self, attribute: str, default: float | None = None) -> float:
-        """Read an attribute of one number. Raises SceneFileError."""
+        """Read an attribute of one number.
+
+        Raises SceneFileError.
+        """
         return float(self.numbers(attribute, 1, None if default is None else [default])[0])
 
     def whole(self, attribute: str, default: int) -> int:
-        """Read an attribute of one integer. Raises SceneFileError."""
+        """Read an attribute of one integer.
+
+        Raises SceneFileError.
+        """
         found = self.number(attribute, default)
         if found != round(found) or abs(found) > 2**31:
             raise self.error(
@@ -123,7 +132,7 @@ def read_elements(source: Source) -> Element:
 
 
 class _XmlReader:
-    """Handler of expat's events in one file."""
+    """XML parser of one file, with includes."""
 
     def __init__(
         self, source: Source, path: Path, count: list[int], above: tuple[Path, ...]
@@ -140,7 +149,10 @@ class _XmlReader:
         parser.SetParamEntityParsing(expat.XML_PARAM_ENTITY_PARSING_NEVER)
 
     def read(self) -> Element:
-        """Parse the root element. Raises SceneFileError."""
+        """Parse the root element.
+
+        Raises SceneFileError.
+        """
         content = self._source.read(self._path)
         try:
             self._parser.Parse(content, True)
@@ -174,7 +186,10 @@ class _XmlReader:
         self._open.append(element)
 
     def _include(self, element: Element) -> list[Element]:
-        """Read the elements of another file. Raises SceneFileError."""
+        """Read the elements of an included file.
+
+        Raises SceneFileError.
+        """
         path = self._source.path.parent / element.text("file")
         folder = self._source.path.parent.resolve()
         if not path.resolve().is_relative_to(folder) or path.resolve() in self._above:

@@ -147,7 +147,10 @@ def export_mjcf(
 
 @name_errors
 def _check_scene(scene: Scene) -> None:
-    """Reject features that MJCF lacks. Raises ValueError."""
+    """Reject features of a scene that MJCF lacks.
+
+    Raises ValueError.
+    """
     others = {
         "pressure": "leave it out",
         "forces": "leave them out, and give them to MuJoCo through data.xfrc_applied",
@@ -207,7 +210,10 @@ def _check_scene(scene: Scene) -> None:
 
 @name_errors
 def _check_velocities(s: Structure, given: ArrayLike) -> Array:
-    """Check that velocities satisfy bars and pins. Raises TypeError, ValueError."""
+    """Check that velocities satisfy bars and pins.
+
+    Raises TypeError, ValueError.
+    """
     V = finite_array("velocities", given, (len(s.nodes), 3))
     least = 1e-9 * abs(V).max(initial=0.0)
     for node, directions in find_held_directions(s).items():

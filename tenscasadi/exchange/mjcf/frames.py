@@ -1,4 +1,4 @@
-"""Frames of MJCF elements."""
+"""Coordinate frames of MJCF elements."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _SIZES = {"quat": 4, "axisangle": 4, "euler": 3, "xyaxes": 6, "zaxis": 3}
 
 
 class Units(NamedTuple):
-    """Conventions of a file.
+    """Conventions of an MJCF file for angles and frames.
 
     Attributes
     ----------
@@ -31,17 +31,17 @@ class Units(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Position, and rotation matrix with the axes as columns."""
+    """Coordinate frame: position, and rotation matrix with the axes as columns."""
 
     place: Array
     turn: Array
 
     def at(self, point: Array) -> Array:
-        """Transform a point of this frame to the outer frame."""
+        """Transform a point from this frame to the outer frame."""
         return np.asarray(self.place + self.turn @ point)
 
     def within(self, outer: Pose) -> Pose:
-        """Express this frame in the frame around `outer`."""
+        """Transform this frame to the frame around `outer`."""
         return Pose(outer.at(self.place), outer.turn @ self.turn)
 
 
@@ -49,7 +49,10 @@ WORLD = Pose(np.zeros(3), np.eye(3))
 
 
 def read_pose(element: Element, units: Units) -> Pose:
-    """Read the frame of an element. Raises SceneFileError."""
+    """Read the coordinate frame of an element.
+
+    Raises SceneFileError.
+    """
     given = [name for name in _SIZES if name in element.attributes]
     if len(given) > 1:
         raise element.error(f"is given beside {given[0]}: leave one out", given[1])

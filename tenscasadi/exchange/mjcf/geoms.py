@@ -1,4 +1,4 @@
-"""Geoms of MJCF: their axes and masses."""
+"""Geoms (shapes) of MJCF files: their axes and masses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ROUND = ("sphere", "capsule", "cylinder")
 
 
 class Mass(NamedTuple):
-    """Mass properties.
+    """Mass, center and inertia of a geom or body.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Mass(NamedTuple):
 
 
 class RodGeom(NamedTuple):
-    """Axis of a geom.
+    """Axis and radius of a round geom.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class RodGeom(NamedTuple):
 
 
 class Geom(NamedTuple):
-    """Geom of a rigid piece.
+    """Geom (shape) of a rigid piece.
 
     Attributes
     ----------
@@ -76,7 +76,10 @@ class Geom(NamedTuple):
 
 
 def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Geom:
-    """Read a geom in the frame `outer`. Raises SceneFileError."""
+    """Read a geom whose body has the frame `outer`.
+
+    Raises SceneFileError.
+    """
     frame = read_pose(element, units).within(outer)
     kind = element.text("type", "sphere")
     rod = mass = None
@@ -125,7 +128,10 @@ def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> RodGeom:
 def _compute_mass(
     element: Element, frame: Pose, rod: RodGeom, mass: float | None, density: float
 ) -> Mass:
-    """Compute the mass of a geom, by its density if not given."""
+    """Compute the mass properties of a geom.
+
+    They follow from its density if the mass is not given.
+    """
     if rod.kind in ("box", "ellipsoid"):
         half = element.numbers("size", 3)
         is_box = rod.kind == "box"
@@ -148,7 +154,10 @@ def _compute_mass(
 
 
 def read_inertial(element: Element, outer: Pose, units: Units) -> Mass:
-    """Read the mass of an `inertial` element. Raises SceneFileError."""
+    """Read the mass properties of an `inertial` element.
+
+    Raises SceneFileError.
+    """
     own = read_pose(element, units).within(outer)
     mass = element.number("mass")
     if mass < 0:

@@ -1,4 +1,4 @@
-"""Conversion of contacts into grounds and contact of bars."""
+"""Conversion of MuJoCo's contacts to grounds and bar contact."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _DEFAULTS = {"solref": (0.02, 1.0), "friction": (1.0, 0.005, 0.0001)}  # of MuJo
 
 
 class PlaneTouch(NamedTuple):
-    """Contact of a node or bar with a plane.
+    """Possible contact of a node or bar with a plane in MuJoCo.
 
     Attributes
     ----------
@@ -41,22 +41,25 @@ class PlaneTouch(NamedTuple):
 
 
 class Locator(Protocol):
-    """Nodes and bars of the scene that is read."""
+    """Interface that finds nodes and bars of the imported scene."""
 
     def find_node(self, piece: int, point: Array) -> int | None:
-        """Find the node at a point of a piece."""
+        """Find the node at a point of a rigid piece."""
 
     def find_bar(self, piece: int, rod: RodGeom) -> int | None:
-        """Find the bar that a geom of a piece covers with its radius."""
+        """Find the bar that a geom covers with its radius."""
 
     def weigh(self) -> ContactWeights:
-        """Compute the contact scales."""
+        """Compute inverse masses and loads for contact parameters."""
 
 
 def read_contacts(
     root: Element, bodies: Bodies, defaults: Defaults, locator: Locator
 ) -> tuple[list[Ground], BarContact | None]:
-    """Read the grounds and the contact of bars of a file. Raises SceneFileError."""
+    """Read the grounds and the bar contact of a file.
+
+    Raises SceneFileError.
+    """
     pairs, apart = _read_pairs(root, bodies, defaults)
     return (
         _read_grounds(root, bodies, pairs, apart, locator),
@@ -101,7 +104,7 @@ def _read_grounds(
 def _read_bar_contact(
     bodies: Bodies, pairs: Mapping[frozenset[str], Element], locator: Locator
 ) -> BarContact | None:
-    """Read the explicit pairs of capsules that cover bars."""
+    """Read the explicit contact pairs of capsules that cover bars."""
     bars = {}
     for k, geom in ((k, geom) for k, piece in bodies.moving() for geom in piece.geoms):
         name, bar = geom.element.text("name"), geom.rod and locator.find_bar(k, geom.rod)
@@ -145,7 +148,10 @@ def _read_pairs(
 
 
 def _can_touch(one: Element, other: Element) -> bool:
-    """Return whether two geoms touch by their types and affinities."""
+    """Return whether MuJoCo lets two geoms collide.
+
+    Their contact types and affinities decide.
+    """
     types, affinities = (
         [geom.whole(name, 1) for geom in (one, other)] for name in ("contype", "conaffinity")
     )
@@ -176,7 +182,10 @@ def _mix(one: Element, other: Element) -> Element:
 
 
 def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[PlaneTouch]:
-    """Find the contacts of a geom that covers a bar, or has its ends at nodes."""
+    """Find the possible plane contacts of a geom.
+
+    The geom covers a bar, or its ends are nodes.
+    """
     if geom.rod is None:
         return []
     ends = geom.rod.ends[: 1 if geom.rod.kind == "sphere" else 2]
@@ -188,7 +197,7 @@ def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[Pl
 
 
 def _build_grounds(plane: Geom, touches: list[PlaneTouch], weights: ContactWeights) -> list[Ground]:
-    """Build the grounds of a plane, one for each law."""
+    """Build the grounds of a plane, one for each contact law."""
     normal = plane.frame.turn[:, 2]
     height = float(normal @ plane.frame.place)
     covered = {
@@ -236,9 +245,10 @@ def _build_grounds(plane: Geom, touches: list[PlaneTouch], weights: ContactWeigh
 
 
 def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dict[str, Any]:
-    """Read the contact law of an inverse mass [1/kg]. Raises SceneFileError.
+    """Read the contact law for an inverse mass [1/kg].
 
     A time constant gives a stiffness proportional to the mass, for the `mean` of inverse masses.
+    Raises SceneFileError.
     """
     solref = law.numbers("solref", 2, _DEFAULTS["solref"])
     if solref[0] > 0 >= solref[1]:
@@ -258,7 +268,7 @@ def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dic
 
 
 def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two laws agree to the six digits of a file."""
+    """Return whether two contact laws agree to six digits."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

@@ -37,7 +37,7 @@ def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
     sites become strings, and those through more sites cables without friction. Ball joints and
     ``connect`` become nodes that bars share. A hinge becomes two nodes on its axis, which two rigid
     bodies share or which are pinned. Bodies that ``weld`` or nesting fixes to each other are one
-    body. Features without a counterpart in a scene are rejected by name, or left out.
+    body. Features without a counterpart in a scene are rejected by name, or omitted.
 
     Parameters
     ----------
@@ -127,7 +127,10 @@ def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
 
 
 def _read_settings(root: Element) -> tuple[Element, Element]:
-    """Merge the settings of compiler and solver. Raises SceneFileError."""
+    """Merge the compiler and solver settings of a file.
+
+    Raises SceneFileError.
+    """
     merged = []
     sections = list(children(root))
     for tag in ("compiler", "option"):
@@ -146,9 +149,9 @@ def _read_settings(root: Element) -> tuple[Element, Element]:
 def _read_ties(
     root: Element, defaults: Defaults, bodies: Bodies, option: Element
 ) -> list[tuple[Element, Side, Side]]:
-    """Read the points that equalities join, and merge welded pieces.
+    """Read the points that equality constraints join.
 
-    Raises SceneFileError.
+    Welded pieces are merged. Raises SceneFileError.
     """
     found = [
         defaults.apply(child) for section in root.find("equality") for child in children(section)
@@ -181,7 +184,7 @@ def _read_ties(
 
 
 class _SceneBuilder:
-    """Builder of a scene: numbers nodes and members."""
+    """Builder of a scene from the pieces of an MJCF file."""
 
     def __init__(
         self,
@@ -218,9 +221,10 @@ class _SceneBuilder:
         self.strings, self.pairs = [strings[k] for k in kept], [pairs[k] for k in kept]
 
     def _number(self, ends: list[Endpoint]) -> dict[Endpoint, int]:
-        """Assign node numbers, by the names of sites if possible.
+        """Assign node numbers to endpoints.
 
-        Unattached sites of the world are nodes if they continue the numbers.
+        They follow from the names of sites if possible. Unattached sites of the world are nodes if
+        they continue the numbers.
         """
         own, sites = self.ends, self.bodies.sites
         lone = [
@@ -342,7 +346,7 @@ class _SceneBuilder:
 
 
 class _SceneLocator(NamedTuple):
-    """Nodes and bars of a scene by pieces of the file."""
+    """Finder of a scene's nodes and bars by pieces of the file."""
 
     builder: _SceneBuilder
     scene: Scene

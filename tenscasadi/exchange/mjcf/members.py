@@ -1,4 +1,4 @@
-"""Conversion of rigid pieces into bars, point masses and nodes."""
+"""Conversion of MuJoCo's rigid pieces to bars, point masses and nodes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORLD = 0
 
 
 class Endpoint(NamedTuple):
-    """Endpoint of a piece: a node without a number.
+    """Endpoint of a rigid piece that becomes a node.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Endpoint(NamedTuple):
 
 
 class PieceEnds:
-    """Endpoints of all pieces, and the nodes that they share.
+    """Endpoints of all rigid pieces, and the nodes that they share.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class PieceEnds:
             self._hang(k, piece)
 
     def _list_anchors(self, k: int, piece: Piece, attached: list[Site]) -> list[Array]:
-        """List the points that a joint shares.
+        """List the points of a joint that two pieces share.
 
-        A ball has one, and a hinge two on its axis, the second at a site if there is one.
+        A ball joint has one, and a hinge two on its axis, the second at a site if there is one.
         """
         if piece.axis is None or piece.anchor is None:
             return [] if piece.anchor is None else [piece.anchor]
@@ -98,7 +98,10 @@ class PieceEnds:
         return [start, start + along * axis]
 
     def _extent(self, k: int, start: Array) -> float:
-        """Compute the largest distance of a piece's mass and geoms from a point [m]."""
+        """Compute the extent of a rigid piece from a point [m].
+
+        It is the largest distance of its mass and geoms.
+        """
         piece = self.bodies.pieces[k]
         points = [mass.center for mass in piece.masses]
         points += [end for geom in piece.geoms if geom.rod for end in geom.rod.ends]
@@ -106,12 +109,12 @@ class PieceEnds:
         return max((size for size in sizes if size > self.close), default=0.1)
 
     def _add_point(self, k: int, point: Array) -> None:
-        """Add a point to a piece, unless it is there."""
+        """Add an endpoint to a piece, unless it has one there."""
         if self.find(k, point) is None:
             self.points[k].append(point)
 
     def _add_point_off(self, k: int, start: Array, end: Array) -> None:
-        """Add points of a hinged piece that are off the axis."""
+        """Add endpoints of a hinged piece that are off the axis."""
         axis = (end - start) / np.linalg.norm(end - start)
         piece = self.bodies.pieces[k]
         for geom in piece.geoms:
@@ -142,9 +145,8 @@ class PieceEnds:
     def place(self, piece: int, point: Array, element: Element | None = None) -> Endpoint:
         """Find the endpoint of a piece at a point.
 
-        In the world it is added if necessary.
-
-        Raises SceneFileError if a moving piece has no endpoint there.
+        In the world it is added if necessary. Raises SceneFileError if a moving piece has no
+        endpoint there.
         """
         found = self.find(piece, point)
         if found is None and piece == _WORLD:
@@ -157,7 +159,10 @@ class PieceEnds:
         return found
 
     def join(self, one: Endpoint, other: Endpoint) -> None:
-        """Merge two endpoints into one node; an endpoint of the world pins it."""
+        """Merge two endpoints into one node.
+
+        An endpoint of the world pins it.
+        """
         for end, to in ((one, other), (other, one)):
             if to.piece == _WORLD:
                 self.pinned.add(self.node(end))
@@ -168,7 +173,7 @@ class PieceEnds:
                 self.pinned.add(first)
 
     def node(self, end: Endpoint) -> Endpoint:
-        """Return the endpoint that represents the node of this one."""
+        """Return the endpoint that represents the node of an endpoint."""
         while end in self._same:
             end = self._same[end]
         return end
@@ -232,7 +237,7 @@ class PieceEnds:
             ends.append(np.mean([mass.center for mass in piece.masses], axis=0))
 
     def _span_plane(self, points: list[Array]) -> bool:
-        """Return whether points do not lie on a line."""
+        """Return whether points are not all on one line."""
         if len(points) < 3:
             return False
         arms = np.array(points) - np.mean(points, axis=0)
@@ -240,7 +245,7 @@ class PieceEnds:
         return bool(sizes[1] > 1e-3 * sizes[0] > self.close)
 
     def _snap(self, k: int, piece: Piece, ends: Array) -> None:
-        """Move the attached points of a piece to two ends."""
+        """Move the attached points of a piece to its two ends."""
         away = np.linalg.norm(np.array(self.points[k])[:, None] - ends, axis=2).min(axis=1)
         error = piece.element.error(f"has attached points up to {away.max():.3g} m from its ends")
         piece.element.source.leave_out(error)
@@ -248,7 +253,10 @@ class PieceEnds:
         self._snaps.add(k)
 
     def _hang(self, k: int, piece: Piece) -> None:
-        """Connect a piece to its parent. Raises SceneFileError."""
+        """Connect a piece to its parent by its joint.
+
+        Raises SceneFileError.
+        """
         slides = piece.slides
         rank = np.linalg.matrix_rank(np.array(slides), tol=1e-6) if slides else 0
         if rank < len(slides):
@@ -306,7 +314,7 @@ class PieceEnds:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Compute the radius from the transverse inertia (Eq. 19).
+        """Compute a bar's radius from the transverse inertia (Eq. 19).
 
         Raises SceneFileError.
         """
@@ -330,9 +338,9 @@ class PieceEnds:
         return exact[0] if exact else radius  # without the rounding error of the square root
 
     def read_body(self, k: int, piece: Piece) -> tuple[Mass, Array]:
-        """Compute the mass properties of a rigid body, and point masses on its nodes.
+        """Compute the mass properties of a rigid body.
 
-        Raises SceneFileError.
+        Point masses on its nodes are separate. Raises SceneFileError.
         """
         points = np.array(self.points[k])
         on_nodes, inner = np.zeros(len(points)), []
@@ -353,7 +361,10 @@ class PieceEnds:
         return Mass(total, center, inertia), on_nodes
 
     def read_point(self, k: int, piece: Piece) -> float:
-        """Compute the mass of a point. Raises SceneFileError."""
+        """Compute the mass of a point mass.
+
+        Raises SceneFileError.
+        """
         total = sum(mass.mass for mass in piece.masses)
         if total > 0:
             center = np.sum([mass.mass * mass.center for mass in piece.masses], axis=0) / total
@@ -365,12 +376,15 @@ class PieceEnds:
 
 
 def _is_node(site: str) -> bool:
-    """Return whether a site has the name of a node in files of `export_mjcf`."""
+    """Return whether a site is named like a node, such as "n3".
+
+    `export_mjcf` uses such names.
+    """
     return re.fullmatch("n[0-9]{1,9}", site) is not None
 
 
 def _find_extremes(points: list[Array]) -> Array:
-    """Find the two points that are furthest apart."""
+    """Find the two points with the largest distance."""
     every = np.array(points)
     distances = np.linalg.norm(every[:, None] - every, axis=2)
     return every[list(np.unravel_index(np.argmax(distances), distances.shape))]

@@ -1,4 +1,4 @@
-"""Tendons and actuators of MJCF as strings and their control."""
+"""Conversion of MuJoCo's tendons and actuators to strings and control."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _UNLIMITED = 1e9  # N: larger force limits count as none
 
 
 class TendonString(NamedTuple):
-    """String or cable of a spatial tendon.
+    """String or cable that was read from a spatial tendon.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class TendonString(NamedTuple):
 
     @property
     def length(self) -> float:
-        """Length in the file [m]."""
+        """Length of the tendon in the file [m]."""
         return sum(float(np.linalg.norm(b.place - a.place)) for a, b in pairwise(self.sites))
 
     def divide(self) -> list[TendonString]:
@@ -74,9 +74,9 @@ class TendonString(NamedTuple):
 
 
 def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[TendonString]:
-    """Read all tendons, in the order of the numbers in their names.
+    """Read all tendons as strings.
 
-    Raises SceneFileError.
+    They are in the order of the numbers in their names. Raises SceneFileError.
     """
     read = [
         _read_tendon(defaults.apply(child), bodies)
@@ -89,7 +89,7 @@ def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[Tend
 
 
 def _read_tendon(tendon: Element, bodies: Bodies) -> TendonString | None:
-    """Read a spatial tendon; None if it is left out.
+    """Read a spatial tendon; None if it is omitted.
 
     Raises SceneFileError.
     """
@@ -118,7 +118,7 @@ def _read_tendon(tendon: Element, bodies: Bodies) -> TendonString | None:
 
 
 def _read_linear(tendon: Element, name: str) -> float:
-    """Read the linear coefficient of a force law."""
+    """Read the linear coefficient of a polynomial force law."""
     polynomial = tendon.numbers(name, (1, 2, 3), [0])
     if np.any(polynomial[1:]):
         tendon.leave_out(
@@ -128,7 +128,7 @@ def _read_linear(tendon: Element, name: str) -> float:
 
 
 class Servo(NamedTuple):
-    """Actuator of a string.
+    """Actuator of a string in MuJoCo.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class Servo(NamedTuple):
     start: float = 0.0
 
     def force_density(self, length: float) -> float:
-        """Compute the initial force density [N/m] of a commanded force."""
+        """Compute the initial force density [N/m] of a prescribed force."""
         return self.start / length if self.control is Tension and length > 0 else self.start
 
 
@@ -241,7 +241,10 @@ def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> Te
 
 
 def _hold(string: TendonString, density: float) -> TendonString:
-    """Choose a spring that has the initial force density [N/m] of a commanded force."""
+    """Choose a spring with a given initial force density [N/m].
+
+    The string has a prescribed force.
+    """
     k = max(100.0, 2 * density)  # the default of `Structure`, which commanded forces ignore
     return string._replace(
         stiffness=k, rest=string.length * (1 - density / k) if density > 0 else None
@@ -302,9 +305,9 @@ def _read_servo(actuator: Element, string: TendonString, control: float | None) 
 
 
 def _read_motor(actuator: Element, string: TendonString, force: float) -> Servo:
-    """Read an actuator whose force does not depend on the motion.
+    """Read an actuator whose force does not depend on length.
 
-    It commands the tension of a tendon without a spring. Beside a spring, it has the effect of
+    It prescribes the tension of a tendon without a spring. Besides a spring, it has the effect of
     another rest length.
     """
     if not string.stiffness and not string.damping:
@@ -320,13 +323,16 @@ def _read_motor(actuator: Element, string: TendonString, force: float) -> Servo:
 
 
 def _read_dynamics(actuator: Element) -> str:
-    """Read the kind of activation dynamics."""
+    """Read the activation dynamics of an actuator, such as "integrator"."""
     kinds = {"position": "none", "intvelocity": "integrator"}
     return kinds.get(actuator.tag, actuator.text("dyntype", "none"))
 
 
 def _read_start(root: Element, actuators: list[Element]) -> list[float | None]:
-    """Read the controls, or states of integrators, of the first key that has them."""
+    """Read the initial controls from the first key that has them.
+
+    For integrators, they are activation states.
+    """
     keys = [key for section in root.find("keyframe") for key in section.find("key")]
 
     def read(name: str, count: int) -> list[float | None]:

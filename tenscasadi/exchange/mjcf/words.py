@@ -1,4 +1,4 @@
-"""Elements and attributes of MJCF that are read, and its default classes."""
+"""Elements and attributes of MJCF that are read, with default classes."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ _CURES = {
 
 
 class Defaults:
-    """Default attributes of a file by class and element kind."""
+    """Default attributes of an MJCF file by class and element kind."""
 
     def __init__(self, root: Element) -> None:
         self._classes: dict[str, dict[str, dict[str, str]]] = {}
@@ -110,7 +110,7 @@ class Defaults:
                 waiting.append((child, child.text("class"), own))
 
     def apply(self, element: Element, childclass: str = "") -> Element:
-        """Add default attributes to an element, and check all of them.
+        """Add default attributes to an element, and check all attributes.
 
         The class is its own, that of the enclosing bodies, or the main one. Raises SceneFileError.
         """
@@ -131,9 +131,9 @@ class Defaults:
 
 
 def check(element: Element) -> Element:
-    """Leave out attributes that affect the dynamics without a counterpart.
+    """Omit attributes that have no counterpart in a scene.
 
-    Returns the element. Raises SceneFileError if the import is strict.
+    They affect the dynamics. Returns the element. Raises SceneFileError if the import is strict.
     """
     read, neutral = _READ.get(element.tag), _NEUTRAL.get(element.tag, {})
     for name, value in element.attributes.items():
@@ -148,9 +148,9 @@ def check(element: Element) -> Element:
 
 
 def children(element: Element) -> Iterator[Element]:
-    """Yield the children that affect the dynamics.
+    """Yield the children that have a counterpart in a scene.
 
-    Others are left out, or rejected if the import is strict.
+    Others that affect the dynamics are omitted, or rejected if the import is strict.
     """
     known = _CHILDREN.get(element.tag, set())
     for child in element:
@@ -162,7 +162,10 @@ def children(element: Element) -> Iterator[Element]:
 
 
 def _equal(value: str, neutral: str) -> bool:
-    """Return whether a value equals the neutral one, which zeros may follow."""
+    """Return whether an attribute has its neutral value.
+
+    Zeros may follow the neutral value.
+    """
     if value.split() == neutral.split():
         return True
     try:

@@ -1,4 +1,4 @@
-"""XML elements of a scene for MuJoCo."""
+"""Conversion of a scene to XML elements of MuJoCo."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ AXIAL = 0.01
 
 
 class SpatialTendon(NamedTuple):
-    """String or cable as a tendon of MuJoCo."""
+    """String or cable as a spatial tendon of MuJoCo."""
 
     name: str
     path: list[int]  # nodes
@@ -48,7 +48,7 @@ class SpatialTendon(NamedTuple):
     pushes: bool
 
     def control(self, kind: Control) -> float:
-        """Compute the control that keeps the rest length."""
+        """Compute the initial control that keeps the rest length."""
         if isinstance(kind, RestLength):
             return self.rest_length
         if isinstance(kind, RestLengthRate):
@@ -59,7 +59,10 @@ class SpatialTendon(NamedTuple):
 
 
 def list_tendons(scene: Scene) -> list[SpatialTendon]:
-    """List the cables and strings in no cable of a scene, in the order of their inputs."""
+    """Convert the cables, and strings in no cable, of a scene to tendons.
+
+    They are in the order of the control inputs.
+    """
     if scene.strength is not None:
         raise ValueError(
             f"scene.strength is {scene.strength}, which MJCF files cannot hold: "
@@ -95,7 +98,7 @@ def list_tendons(scene: Scene) -> list[SpatialTendon]:
 
 
 class MjcfWriter:
-    """Builder of the XML elements of a scene."""
+    """Builder of MuJoCo's XML elements for a scene."""
 
     def __init__(self, scene: Scene, tree: BodyTree) -> None:
         self.scene, self.s, self.tree = scene, scene.modelled, tree
@@ -137,7 +140,7 @@ class MjcfWriter:
         self.root = ET.Element("mujoco", model="tenscasadi")
 
     def write(self, step: float, velocities: Array | None) -> ET.Element:
-        """Build the root element."""
+        """Build the root XML element."""
         V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
         self._options(step)
         world = ET.SubElement(self.root, "worldbody")
@@ -224,9 +227,9 @@ class MjcfWriter:
         self.rates[body] = [*(directions @ velocity)]
 
     def _rigid_bodies(self, world: ET.Element, V: Array) -> None:
-        """Add rigid bodies in the axes of the world.
+        """Add rigid bodies, whose axes are those of the world.
 
-        A body turns about a pinned node, or about the line through two of them.
+        A body rotates about a pinned node, or about the line through two of them.
         """
         s = self.s
         for k, body in enumerate(s.bodies):
@@ -266,7 +269,7 @@ class MjcfWriter:
                     self._node(element, node, s.nodes[node] - place)
 
     def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
-        """Add the mass of a bar and a visible cylinder."""
+        """Add the mass of a bar, and a visible cylinder, to its body."""
         s = self.s
         radius, mass = s.bar_radius[bar], s.bar_mass[bar]
         across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²
@@ -285,7 +288,7 @@ class MjcfWriter:
     def _node(self, body: ET.Element, node: int, place: Array) -> None:
         """Add a node to the body of its bar.
 
-        Its point mass goes into a body fixed to that one.
+        Its point mass is in a body that is fixed to that one.
         """
         if self.s.node_mass[node] > 0:
             mass = _add(body, "body", name=f"n{node}", pos=place)
@@ -349,7 +352,7 @@ class MjcfWriter:
                 _add(contact, "pair", geom1=one, geom2=other, **numbers)
 
     def _capsules(self, names: set[str]) -> None:
-        """Add the capsules of bars with given names."""
+        """Add the contact capsules of bars with given names."""
         s, bodies = self.s, {body.get("name"): body for body in self.root.iter("body")}
         for bar in (bar for bar in range(len(s.bars)) if f"capsule{bar}" in names):
             ends = [self.along[bar, node] for node in s.bars[bar].tolist()]
@@ -426,10 +429,10 @@ class MjcfWriter:
 
 
 def _list_inertia(moments: Array) -> list[float]:
-    """List the entries xx, yy, zz, xy, xz, yz of an inertia matrix from second moments.
+    """Compute the six inertia entries of a body from second moments.
 
-    Principal moments are at least 0.01 of the largest, and within rounding of the triangle
-    inequality, as MuJoCo demands.
+    They are xx, yy, zz, xy, xz, yz. Principal moments are at least 0.01 of the largest, and within
+    rounding of the triangle inequality, as MuJoCo requires.
     """
     inertia = np.trace(moments) * np.eye(3) - moments
     values, vectors = np.linalg.eigh(inertia)
@@ -439,7 +442,7 @@ def _list_inertia(moments: Array) -> list[float]:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    """Add an element.
+    """Add a child to an XML element.
 
     Numbers become text that is read back exactly.
     """

@@ -13,7 +13,7 @@ from tenscasadi.util.validate import Array
 
 @dataclass(eq=False)
 class NtrtNode:
-    """Named point, transformed with its structure."""
+    """Named node of an NTRT structure."""
 
     name: str
     at: Array
@@ -21,7 +21,7 @@ class NtrtNode:
 
 @dataclass(eq=False)
 class NtrtPair:
-    """Two nodes with the tags that select a builder.
+    """Pair of NTRT nodes with tags that select its properties.
 
     `entry` is its place in the file.
     """
@@ -33,7 +33,7 @@ class NtrtPair:
 
 @dataclass(eq=False)
 class Assembly:
-    """Structure with its own nodes and pairs, and substructures."""
+    """NTRT structure with its nodes and pairs, and substructures."""
 
     name: str = ""
     nodes: list[NtrtNode] = field(default_factory=list)
@@ -70,7 +70,7 @@ class Assembly:
     def node(self, path: str, entry: YamlEntry) -> NtrtNode:
         """Find the nearest node of a dotted name.
 
-        The parts before the last are names of substructures.
+        The parts before the last are names of substructures. Raises SceneFileError.
         """
         *parents, name = path.split(".")
         part = self
@@ -198,7 +198,7 @@ def bond_edges(
 
 
 def _meet(moved: Assembly, places: Array, entry: YamlEntry) -> None:
-    """Move a substructure so that its points meet the others.
+    """Move a substructure so that its points coincide with given ones.
 
     Their planes are aligned first, then the first points about the normal.
     """

@@ -1,4 +1,4 @@
-"""Rods that stand for a rigid body in NTRT's files."""
+"""NTRT rods that represent a rigid body."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def find_body_rods(nodes: Array, wanted: MassProperties) -> tuple[Array, list[Ro
 
 
 def _find_cross(wanted: MassProperties) -> Array:
-    """Find the ends (up to 6, 3) of rods with given moments."""
+    """Find the ends (up to 6, 3) of crossed rods with given moments."""
     values, axes = np.linalg.eigh(wanted.moments)
     some = values > NEGLIGIBLE * values.max()
     arms = np.sqrt(3 * some.sum() * values[some] / wanted.mass)[:, None] * axes.T[some]
@@ -71,7 +71,10 @@ def _find_cross(wanted: MassProperties) -> Array:
 
 
 def _moments(own: MassProperties, wanted: MassProperties, size: float) -> Array:
-    """Compute mass, first and second moments (10,) about a center, without units."""
+    """Compute normalized mass, first and second moments (10,).
+
+    The moments are about the center of `wanted`, and are divided by its mass and the size.
+    """
     arm = own.center - wanted.center
     second = (own.moments + own.mass * np.outer(arm, arm))[np.triu_indices(3)]
     moments = np.concatenate([[own.mass], own.mass * arm / size, second / size**2])
@@ -79,7 +82,7 @@ def _moments(own: MassProperties, wanted: MassProperties, size: float) -> Array:
 
 
 def _join_nodes(points: Array, rods: list[Rod]) -> list[Rod]:
-    """Find rods without mass that join the nodes which others leave apart."""
+    """Find massless rods that connect otherwise separate nodes."""
     ends = np.array([rod.nodes for rod in rods], dtype=np.intp).reshape(-1, 2)
     links = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(points), len(points)))
     first = np.unique(connected_components(links, directed=False)[1], return_index=True)[1]

@@ -103,7 +103,7 @@ def load_ntrt(
 
 @dataclass
 class _NtrtReader:
-    """State of the import: builders, parsed files, number of items.
+    """State of an NTRT import: builders, parsed files, number of items.
 
     Later builders take precedence.
     """
@@ -115,7 +115,10 @@ class _NtrtReader:
     count: int = 0
 
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> Assembly:
-        """Read a file and its substructures. Raises SceneFileError."""
+        """Read an NTRT file and its substructures.
+
+        Raises SceneFileError.
+        """
         if path not in self.trees:
             self.trees[path] = read_tree(self.source, path)
         root = self.trees[path]
@@ -146,7 +149,10 @@ class _NtrtReader:
     def _read_substructures(
         self, whole: Assembly, entry: YamlEntry, above: tuple[Path, ...]
     ) -> None:
-        """Read substructures; keys without a path change those of other keys."""
+        """Read the substructures of a structure.
+
+        Keys without a path change the substructures of other keys.
+        """
         groups = [
             (
                 key.split("/"),
@@ -184,9 +190,10 @@ class _NtrtReader:
         return path
 
     def _read_bonds(self, whole: Assembly, entry: YamlEntry) -> None:
-        """Read bonds nested in tags, or tags nested in bonds.
+        """Read the bonds between substructures.
 
-        A key with a slash is a bond, such as "leg/foot/node_node".
+        Bonds are nested in tags, or tags in bonds. A key with a slash is a bond, such as
+        "leg/foot/node_node".
         """
         for outer, inside in entry.items():
             for inner, pairs in inside.items():

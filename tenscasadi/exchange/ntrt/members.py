@@ -1,4 +1,4 @@
-"""Rods, boxes and strings of NTRT: the builders of their tags, and the structure."""
+"""Conversion of NTRT's rods, boxes and strings to a structure."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _POSITIVE = ("radius", "stiffness", "width", "height")
 class TagBuilder:
     """Properties of tagged rods, boxes or strings, in NTRT's units.
 
-    A class that is left out has none.
+    A class that is not imported has none.
     """
 
     tags: frozenset[str]
@@ -50,7 +50,7 @@ class TagBuilder:
 
     @property
     def is_rigid(self) -> bool:
-        """Whether it builds rods or boxes."""
+        """Whether it describes rods or boxes."""
         return "density" in self.values
 
 
@@ -62,7 +62,10 @@ DEFAULT_BUILDERS = (
 
 
 def read_builder(tags: str, entry: YamlEntry) -> TagBuilder:
-    """Read class and parameters of a builder. Raises SceneFileError."""
+    """Read class and parameters of an NTRT builder.
+
+    Raises SceneFileError.
+    """
     own = frozenset(tags.split())
     given = dict(entry.items("class", "parameters"))
     classes = ", ".join(_IGNORED)
@@ -84,7 +87,7 @@ def read_builder(tags: str, entry: YamlEntry) -> TagBuilder:
 
 
 class StructureBuilder:
-    """Builder of a structure from the pairs of an assembly."""
+    """Builder of a structure from NTRT's pairs of nodes."""
 
     def __init__(
         self, source: Source, whole: Assembly, builders: list[TagBuilder], ball_joints: bool
@@ -105,7 +108,7 @@ class StructureBuilder:
         self.places, self.index = _merge_nodes(self.nodes)
 
     def _select(self, pair: NtrtPair, name: str) -> TagBuilder:
-        """Select the last builder whose tags the pair has.
+        """Select the last builder whose tags a pair has.
 
         Builders of rods and boxes take precedence. The name of the structure counts as a tag.
         """
@@ -119,7 +122,10 @@ class StructureBuilder:
         return next((builder for builder in reversed(fitting) if builder.is_rigid), fitting[-1])
 
     def build(self, unit: float) -> Structure:
-        """Build the structure. Lengths of the file are in `unit` [m]."""
+        """Build the structure.
+
+        Lengths of the file are in units of `unit` m.
+        """
         nodes = unit * np.stack(
             [self.places[:, 0], 0.0 - self.places[:, 2], self.places[:, 1]], axis=1
         )
@@ -161,7 +167,10 @@ class StructureBuilder:
             raise SceneFileError(str(error), self.source.path.name) from error
 
     def _read_parts(self, nodes: Array, unit: float) -> list[RigidPart]:
-        """Read rods and boxes; repeated ones that are not welded are left out."""
+        """Read rods and boxes.
+
+        Repeated ones that are not welded are omitted.
+        """
         found: list[RigidPart] = []
         known = set[frozenset[int]]()
         for pair, own in self.rigid:
@@ -187,7 +196,10 @@ class StructureBuilder:
         return np.array([ends for _, ends, _ in kept], dtype=np.intp).reshape(-1, 2), columns
 
     def _find_ends(self, pair: NtrtPair) -> tuple[int, int] | None:
-        """Find the two nodes of a pair; None, left out, if they are at one place."""
+        """Find the two nodes of a pair.
+
+        Returns None if they coincide; the pair is then omitted.
+        """
         a, b = (self.index[id(end)] for end in pair.ends)
         if a == b:
             names = " and ".join(end.name for end in pair.ends)
@@ -196,7 +208,7 @@ class StructureBuilder:
         return a, b
 
     def _rest_lengths(self, lines: Indices, strings: dict[str, Array]) -> Array:
-        """Compute rest lengths in the unit of the file, from the pretension."""
+        """Compute rest lengths, in the unit of the file, from pretensions."""
         spans = distances(self.places, lines)
         rest = spans - strings["pretension"] / strings["stiffness"]
         for k in np.flatnonzero(rest <= 0):
@@ -211,7 +223,7 @@ class StructureBuilder:
         return np.asarray(rest)
 
     def _check_joints(self, parts: list[RigidPart], strings: Indices) -> None:
-        """Reject strings without rods, and list joints that NTRT welds."""
+        """Reject strings without rods, and report joints that NTRT welds."""
         names: dict[int, list[str]] = {}
         for node in self.nodes:
             names.setdefault(self.index[id(node)], []).append(node.name)
@@ -232,7 +244,7 @@ class StructureBuilder:
 def _merge_nodes(nodes: list[NtrtNode]) -> tuple[Array, dict[int, int]]:
     """Merge coinciding nodes.
 
-    Returns positions (n, 3), and the index of each node by its id.
+    Returns positions (n, 3), and the index of each node by its Python id.
     """
     from scipy.spatial import cKDTree  # slow import
 

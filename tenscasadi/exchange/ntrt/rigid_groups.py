@@ -1,4 +1,4 @@
-"""Rods and boxes of NTRT, and the rigid bodies that they form."""
+"""NTRT's rods and boxes, and the rigid bodies that they form."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, Indices
 
 @dataclass(frozen=True, eq=False)
 class RigidPart:
-    """Rod or box between two nodes.
+    """Rod or box of NTRT between two nodes.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class RigidPart:
 
     @property
     def length(self) -> float:
-        """Distance of its ends [m]."""
+        """Distance between its ends [m]."""
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
     def _frame(self) -> Array:
@@ -69,9 +69,10 @@ class RigidPart:
 
 
 def group_parts(parts: list[RigidPart], welded: bool) -> list[list[RigidPart]]:
-    """Group the parts that move as one, in the order of the file.
+    """Group the rods and boxes that form one rigid body.
 
-    With `welded`, these are all that share nodes. Otherwise each part is a group.
+    With `welded`, these are all that share nodes. Otherwise each part is a group. Groups are in the
+    order of the file.
     """
     if not welded or not parts:
         return [[part] for part in parts]
@@ -86,7 +87,7 @@ def group_parts(parts: list[RigidPart], welded: bool) -> list[list[RigidPart]]:
 
 
 def combine_mass(parts: list[RigidPart]) -> MassProperties:
-    """Combine the masses of parts that move as one.
+    """Combine the masses of rods and boxes that form one rigid body.
 
     If all lie on one line, the result is a thin rod of the same inertia across it.
     """

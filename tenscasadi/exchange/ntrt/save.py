@@ -83,7 +83,7 @@ def save_ntrt(structure: Structure, path: FilePath, *, length_unit: float = 1.0)
 
 
 class _NtrtWriter:
-    """State of the export: points, pairs by builder, and changes."""
+    """State of an NTRT export: points, pairs by builder, and changes."""
 
     def __init__(self, structure: Structure, unit: float) -> None:
         self.structure, self.unit = structure, unit
@@ -93,7 +93,10 @@ class _NtrtWriter:
         self.changes: list[str] = []
 
     def write(self) -> str:
-        """Write the file as text. Raises ValueError."""
+        """Build the text of the NTRT file.
+
+        Raises ValueError.
+        """
         self._list_missing()
         pinned = self.structure.fixed.all(axis=1)
         self._add_bars(pinned)
@@ -104,7 +107,7 @@ class _NtrtWriter:
         return self._format()
 
     def _list_missing(self) -> None:
-        """List features that NTRT lacks."""
+        """Report features of the structure that NTRT lacks."""
         s = self.structure
         partly = [node for node, axes in s.pinned.items() if axes != "xyz"]
         self._note("node", [*partly, *s.rollers], "free, as NTRT only fixes whole rods")
@@ -116,7 +119,7 @@ class _NtrtWriter:
             self._note("cable", np.flatnonzero(s.cable_friction), "without friction")
 
     def _note(self, kind: str, items: Iterable[Any], change: str) -> None:
-        """List a change of some nodes or members."""
+        """Report a change of some nodes or members."""
         numbers = [str(item) for item in items]
         if numbers:
             more = f" and {len(numbers) - 5} more" * (len(numbers) > 5)
@@ -169,7 +172,7 @@ class _NtrtWriter:
                 self._note("body", [k], "as a single rod, which is read as a bar")
 
     def _add_pins(self, pinned: list[int]) -> None:
-        """Hold pinned nodes by boxes without density."""
+        """Fix pinned nodes by boxes of density 0."""
         loose = [node for node in pinned if "the ground" not in self.parts[node]]
         for node in loose:
             self.parts[node].append("the ground")
@@ -186,7 +189,7 @@ class _NtrtWriter:
 
     @name_errors
     def _check_nodes(self) -> None:
-        """Reject strings without rods, and list joints and nodes left out."""
+        """Reject strings without rods, and report joints and omitted nodes."""
         s = self.structure
         used = np.unique(s.strings)
         for node in used:

@@ -38,16 +38,16 @@ class YamlEntry:
         return SceneFileError(text, _name(self.source, self.path), self.line, self.key)
 
     def leave_out(self, text: str) -> None:
-        """Leave out this entry.
+        """Omit this entry from the import.
 
         Raises SceneFileError if the import is strict.
         """
         self.source.leave_out(self.error(text))
 
     def items(self, *known: str) -> Iterator[tuple[str, YamlEntry]]:
-        """Yield keys and values of a mapping; an empty entry yields nothing.
+        """Yield the keys and values of a mapping.
 
-        If `known` keys are given, others are left out.
+        An empty entry yields nothing. If `known` keys are given, others are omitted.
         """
         if self.value == "":
             return
@@ -142,7 +142,7 @@ def _name(source: Source, path: Path) -> str:
 
 
 def _count(node: Any, known: dict[int, int]) -> int:
-    """Count the entries below a node, with expanded aliases.
+    """Count the YAML entries below a node, with expanded aliases.
 
     Raises ValueError if an alias contains itself.
     """

@@ -1,4 +1,4 @@
-"""Inputs of an interactive simulation."""
+"""Inputs of an interactive simulation: control, forces and gravity."""
 
 from __future__ import annotations
 

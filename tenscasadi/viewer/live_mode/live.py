@@ -25,9 +25,9 @@ from tenscasadi.viewer.web.serving import Served, check_serving, open_and_wait
 
 
 class Live(Served):
-    """Interactive simulation: in the browser, and as a trajectory at any time.
+    """Interactive simulation in the browser.
 
-    `live` returns one.
+    `live` returns it. `trajectory` returns the recording at any time.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Live(Served):
         self._runner.start()
 
     def do(self, order: Callable[[], Any]) -> None:
-        """Execute a function between two ticks, in the thread of the simulation.
+        """Execute a function in the simulation's thread between two ticks.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class Live(Served):
         self._runner.do(change)
 
     def run(self, running: bool = True) -> None:
-        """Start or pause the time, as the button of the page does.
+        """Start or pause the simulation, as the page's button does.
 
         Parameters
         ----------
@@ -140,7 +140,10 @@ class Live(Served):
         return f"Live(at {self.url})"
 
     def _advance(self) -> float | None:
-        """Simulate the ticks that are due, and show the present state."""
+        """Simulate the ticks that are due, and show the present state.
+
+        Returns the time until the next call [s].
+        """
         failed = bool(self.simulation.fault)
         ticks = self._simulate() if self.panel.running and not failed else 0
         now = clock.perf_counter()
@@ -158,7 +161,7 @@ class Live(Served):
         return 0.2 if changed else None
 
     def _simulate(self) -> int:
-        """Simulate the ticks that are due.
+        """Simulate the ticks that are due by the wall clock.
 
         It takes at most the time of one picture.
         """

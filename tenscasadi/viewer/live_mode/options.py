@@ -52,7 +52,10 @@ class LiveOptions:
 
 
 def count_substeps(options: LiveOptions, model: Model, state: Array, control: Array) -> int:
-    """Count the grid steps of a tick."""
+    """Compute the number of time steps in a tick.
+
+    A tick is the interval in which inputs are constant.
+    """
     if options.scheme.adaptive:
         return 1
     step = options.step or _choose_step(model, options.scheme, state, control)

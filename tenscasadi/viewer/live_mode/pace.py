@@ -9,7 +9,7 @@ _DELAY = 0.1  # s, which may be caught up; more is dropped
 
 
 class Pace:
-    """Counter of due and computed ticks.
+    """Counter of simulation ticks that are due by the wall clock.
 
     The caller gives times of any increasing clock [s]. A delay of more than a tenth of a second is
     dropped. The simulation is then slower than requested, which `message` reports.
@@ -50,7 +50,7 @@ class Pace:
         self.rest()
 
     def rest(self) -> None:
-        """Start again after a pause, with no due ticks."""
+        """Restart the counter after a pause, with no ticks due."""
         self._debt, self._last = 0.0, None
         self._log.clear()
 
@@ -65,7 +65,7 @@ class Pace:
         return int(self._debt + 1e-9)
 
     def done(self, ticks: int, now: float) -> None:
-        """Record computed ticks, and the time after them [s]."""
+        """Record computed ticks, and the clock time after them [s]."""
         self._debt -= ticks
         self._log.append((now, ticks))
         while len(self._log) > 2 and now - self._log[1][0] >= _WINDOW:

@@ -50,7 +50,7 @@ class LivePanel:
     Attributes
     ----------
     running : bool
-        Whether the time runs.
+        Whether the simulation runs.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class LivePanel:
     # --- actions of a person ---
 
     def run(self, running: bool) -> None:
-        """Continue or pause."""
+        """Continue or pause the simulation."""
         self.running, self._said = running, ""
         self._play.label = "Pause" if running else "Continue"
         self.pace.rest()
@@ -129,7 +129,10 @@ class LivePanel:
         self._said = text
 
     def find_node(self, part: str, index: int, seen: Any) -> int:
-        """Find the movable node nearest to a clicked position."""
+        """Find the movable node nearest to a clicked position.
+
+        `part` and `index` are the clicked node or member.
+        """
         structure, pullable = self.simulation.model.structure, self.simulation.pullable
         ends = np.array([index]) if part == "nodes" else np.asarray(getattr(structure, part))[index]
         ends = ends[(ends < len(pullable)) & pullable[np.minimum(ends, len(pullable) - 1)]]
@@ -160,7 +163,7 @@ class LivePanel:
             self._arrow.points = ends.astype(np.float32)[None]
 
     def tell(self) -> None:
-        """Display the time, the speed and messages."""
+        """Display the time, the speed and messages in the panel."""
         simulation, slowness = self.simulation, self.pace.message if self.running else ""
         stopped = "" if self.running or simulation.fault else ", paused"
         lines = [f"<b>t = {simulation.time:.2f} s</b>{stopped}"]
@@ -177,9 +180,9 @@ class LivePanel:
             self._status.content = content
 
     def refresh(self, moved: int | None = None) -> None:
-        """Move the sliders to the present control.
+        """Move the sliders to the present control values.
 
-        The one that a person moves is left alone.
+        The slider `moved`, which the user drags, is not changed.
         """
         for place, (slider, entry) in enumerate(self._inputs):
             value = slider.read(self.simulation)
@@ -187,7 +190,7 @@ class LivePanel:
                 entry.value = value
 
     def drive(self, place: int, value: float) -> None:
-        """Apply the value of a slider."""
+        """Apply the value of a slider to the simulation."""
         self._inputs[place][0].apply(self.simulation, value)
         self.refresh(place)
 
@@ -265,7 +268,7 @@ class LivePanel:
         return entry
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
-        """Add the number of a string, and its slider."""
+        """Add an input for the index of a string, and a slider for it."""
         count = self.simulation.model.nu
         number = gui.add_number("String", 0, min=0, max=count - 1, step=1)
         entry = self._add_slider(gui, build_slider(self.simulation, 0))
@@ -282,7 +285,7 @@ class LivePanel:
 
 
 def _is_supported(scene: Scene) -> bool:
-    """Return whether a scene keeps the structure from falling without end."""
+    """Return whether the structure cannot fall without end."""
     held = bool(scene.structure.fixed.any()) or bool(scene.structure.rollers)
     falls = scene.gravity is not None and np.any(scene.gravity.acceleration)
     return held or bool(scene.grounds) or not falls

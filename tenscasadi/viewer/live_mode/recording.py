@@ -1,4 +1,4 @@
-"""Recording of a simulation in bounded memory."""
+"""Recording of an interactive simulation in bounded memory."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class Recording:
-    """Recording of rows at ticks.
+    """Recording of states at ticks in bounded memory.
 
     When the memory is full, every other row is removed, and from then on only every other one is
-    kept.
+    recorded.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class Recording:
         self.every = 1  # ticks between kept rows
 
     def keep(self, tick: int, row: Array) -> None:
-        """Keep a row (width,), which replaces one of the same tick."""
+        """Record a row (width,), which replaces one of the same tick."""
         while (self._ticks and self._ticks[-1] >= tick) or (
             len(self._ticks) > 1 and self._ticks[-1] % self.every
         ):
@@ -50,5 +50,5 @@ class Recording:
             )
 
     def rows(self) -> tuple[Indices, Array]:
-        """Return the kept ticks (T,) and rows (T, width)."""
+        """Return the recorded ticks (T,) and rows (T, width)."""
         return np.array(self._ticks), np.array(self._rows)

@@ -1,4 +1,4 @@
-"""Interactive simulation, tick by tick."""
+"""Interactive simulation, in ticks of constant inputs."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Pull:
 
 
 class LiveSimulation:
-    """Simulation of a model under a control that changes interactively.
+    """Simulation of a model with inputs that change interactively.
 
-    In a tick the control and the pull of a spring at a node are constant. The recording is
-    available as a trajectory at any time. A simulation that fails stays at its last valid state and
-    explains it in `fault`, until it is reset.
+    In a tick the control and the spring that pulls a node are constant. The recording is available
+    as a trajectory at any time. A simulation that fails stays at its last valid state and explains
+    it in `fault`, until it is reset.
 
     Parameters
     ----------
@@ -131,9 +131,9 @@ class LiveSimulation:
 
     @property
     def pullable(self) -> Booleans:
-        """Nodes (n,) that can be pulled.
+        """Mask (n,) of the nodes that the user can pull.
 
-        Pinned ones cannot, nor any if nodal forces vary with time.
+        Pinned ones cannot be pulled, nor any if nodal forces vary with time.
         """
         s = self.model.scene.structure
         return np.asarray(~s.fixed.all(axis=1) & ("forces" in self.model.parameters.places))
@@ -141,7 +141,10 @@ class LiveSimulation:
     # --- actions of a person ---
 
     def reset(self) -> None:
-        """Return to the initial state, control and parameters, with an empty recording."""
+        """Return to the initial state, and clear the recording.
+
+        Control and parameters return to their initial values, too.
+        """
         self._z = np.append(self.start_state, np.zeros(int(self.model.power is not None)))
         self.control = self.start_control.copy()
         self.parameters = self.model.parameters.nominal.copy()
@@ -153,7 +156,7 @@ class LiveSimulation:
         self._observed: dict[str, Array] | None = None
 
     def set_control(self, strings: Any, value: float) -> None:
-        """Set the control of strings from the next tick on.
+        """Set the control of some strings from the next tick on.
 
         Parameters
         ----------
@@ -174,7 +177,7 @@ class LiveSimulation:
         self.control = control
 
     def set_parameters(self, name: str, values: Any) -> None:
-        """Set a quantity of the model's parameters from the next tick on.
+        """Set a parameter of the model from the next tick on.
 
         Parameters
         ----------
@@ -195,7 +198,7 @@ class LiveSimulation:
     def grab(self, node: int | str, target: Any) -> None:
         """Pull a node to a target from the next tick on.
 
-        The pull is that of a damped spring of `pull_stiffness`.
+        A damped spring of stiffness `pull_stiffness` pulls it.
 
         Parameters
         ----------
@@ -219,7 +222,7 @@ class LiveSimulation:
         self.pull = Pull(place, (x, y, z), self.pull_stiffness, damping)
 
     def release(self) -> None:
-        """Release the node."""
+        """Remove the spring that pulls a node."""
         self.pull = None
 
     # --- time ---
@@ -289,12 +292,12 @@ class LiveSimulation:
 
     @property
     def state(self) -> Array:
-        """State (nx,)."""
+        """Present state (nx,)."""
         return self._z[: self.model.nx]
 
     @property
     def nodes(self) -> Array:
-        """Positions (n, 3) [m]."""
+        """Present node positions (n, 3) [m]."""
         return np.asarray(self.model.nodes(self.state))
 
     @property
@@ -306,7 +309,7 @@ class LiveSimulation:
 
     @property
     def pull_force(self) -> Array:
-        """Force (3,) of the pull [N]; 0 if there is none."""
+        """Force (3,) of the pulling spring [N]; 0 if there is none."""
         if self.pull is None:
             return np.zeros(3)
         node = self.pull.node
@@ -325,9 +328,10 @@ class LiveSimulation:
     # --- recording ---
 
     def _keep(self) -> None:
-        """Record the state at the start of a tick, and its inputs without the pull.
+        """Record the state at the start of a tick, and its inputs.
 
-        A change of control or parameters changes the energy instantly.
+        The force of the pulling spring is not recorded. A change of control or parameters changes
+        the energy instantly.
         """
         inputs = self._constant_inputs()
         if np.any(inputs != self._last_inputs):

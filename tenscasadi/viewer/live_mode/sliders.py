@@ -1,4 +1,4 @@
-"""Sliders of the strings, one for each or for equal ones."""
+"""Sliders that control strings, separately or in groups."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Groups = Mapping[str, Sequence[int]] | None
 
 @dataclass(frozen=True)
 class Slider:
-    """Slider of some strings, from `low` to `high`.
+    """Slider that sets the control of some strings.
 
-    It sets the rest length [m] or force density [N/m] of each. With `factor` it multiplies their
-    initial values.
+    It sets the rest length [m] or force density [N/m] of each between `low` and `high`. With
+    `factor` it multiplies their initial values.
     """
 
     name: str
@@ -41,7 +41,10 @@ class Slider:
     factor: bool = False
 
     def apply(self, simulation: LiveSimulation, value: float) -> None:
-        """Control the strings of a simulation, with values limited to the slider's range."""
+        """Set the control of a simulation to the slider's value.
+
+        The value is limited to the slider's range.
+        """
         if not np.isfinite(value):
             return
         value = float(np.clip(value, self.low, self.high))
@@ -63,9 +66,10 @@ class Slider:
 
 @dataclass(frozen=True)
 class ParameterSlider:
-    """Slider of a quantity of the model's parameters, from `low` to `high`.
+    """Slider that sets a parameter of the model.
 
-    It multiplies the values of all items by a number. `unit_values` are those at 1.
+    It multiplies the values of all items by a number from `low` to `high`. `unit_values` are those
+    at 1.
     """
 
     name: str
@@ -75,20 +79,23 @@ class ParameterSlider:
     high: float
 
     def apply(self, simulation: LiveSimulation, value: float) -> None:
-        """Set the quantity of a simulation, with the number limited to the slider's range."""
+        """Set the parameter of a simulation to the slider's value.
+
+        The value is limited to the slider's range.
+        """
         if np.isfinite(value):
             number = float(np.clip(value, self.low, self.high))
             simulation.set_parameters(self.quantity, number * np.array(self.unit_values))
 
     def read(self, simulation: LiveSimulation) -> float:
-        """Compute the position of the slider."""
+        """Compute the position of the slider from the simulation's parameters."""
         now = simulation.parameters[simulation.model.parameters.places[self.quantity]]
         unit = np.array(self.unit_values)
         return float(np.clip(now @ unit / (unit @ unit), self.low, self.high))
 
 
 def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider]:
-    """Choose a slider of constant gravity, and one of each parameter of the scene."""
+    """Choose sliders for constant gravity and for each parameter."""
     layout, found = simulation.model.parameters, []
     for quantity, place in layout.places.items():
         nominal = layout.nominal[place]
@@ -167,7 +174,7 @@ def _by_length(simulation: LiveSimulation) -> bool:
 
 
 def _choose_range(simulation: LiveSimulation, own: Array) -> tuple[float, float]:
-    """Choose the range of strings with the initial values `own`."""
+    """Choose the range of a slider for strings with initial values `own`."""
     largest = float(own.max())
     if _by_length(simulation):
         low, high = _RANGES["rest length"]
@@ -177,13 +184,16 @@ def _choose_range(simulation: LiveSimulation, own: Array) -> tuple[float, float]
 
 
 def _round(value: float, way: Any) -> float:
-    """Round to two digits, which are displayed below the slider."""
+    """Round to two digits, as the slider displays them."""
     digit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{way(round(value / digit, 6)) * digit:.3g}")
 
 
 def _group_equal(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
-    """Group strings of equal length and control by name."""
+    """Group strings of equal length and equal control.
+
+    The keys are the names of the groups.
+    """
     start, structure = simulation.start_control, simulation.model.scene.structure
     count = len(start)
     if count <= MOST_LISTED:

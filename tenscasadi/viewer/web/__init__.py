@@ -1,1 +1,1 @@
-"""Pages: written as files, or served to the browsers of this machine."""
+"""Pages of the viewer: written as files, or served to browsers."""

@@ -1,4 +1,4 @@
-"""Quality of the picture by the speed of drawing, and display of low frame rates."""
+"""Adaptive picture quality of pages, and display of low frame rates."""
 
 from __future__ import annotations
 
@@ -82,9 +82,10 @@ _SCRIPT = """<script>
 
 
 def adapt_quality(page: str) -> str:
-    """Let a page of viser draw as finely as it can at its frame rate.
+    """Add a script to a page that adapts its resolution.
 
-    The rate is displayed if it is lower than that of the player.
+    The resolution is the highest one at the player's frame rate. The frame rate is displayed if it
+    is lower than that of the player.
     """
     head = page.index("<head>") + len("<head>")
     return page[:head] + _SCRIPT + page[head:]

@@ -1,4 +1,7 @@
-"""Names of the items under the pointer, on pages of a server."""
+"""Script of pages that reports the pointer's position.
+
+The server then shows the name of the node or member there.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +36,6 @@ _SCRIPT = f"""<script>
 
 
 def add_hover(page: str) -> str:
-    """Let a page of viser tell the server where the pointer rests."""
+    """Add a script to a page that reports the pointer's position."""
     head = page.index("<head>") + len("<head>")
     return page[:head] + _SCRIPT + page[head:]

@@ -1,4 +1,4 @@
-"""Motions as self-contained HTML files, with legend, time and charts."""
+"""Trajectories as self-contained HTML files with legend and charts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _CLOSE = 'if (innerWidth < 600) document.getElementById("shown").open = false;'
 
 
 def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
-    """Record a page of all frames of a canvas."""
+    """Record all frames of a canvas as an HTML page."""
     times = choose_frame_times(canvas.content, speed, FRAME_RATE)
     for layer in canvas.layers:
         layer.grain = 3e-5 * canvas.content.size  # a small part of a pixel

@@ -39,7 +39,7 @@ class OpenToNetwork(UserWarning):
 
 
 def import_viser() -> Any:
-    """Import viser. Raises ImportError with the cure."""
+    """Import viser, or raise ImportError with the cure."""
     try:
         import viser
         import viser.infra
@@ -119,7 +119,7 @@ def start_server(host: str = LOOPBACK, port: int | None = None) -> Any:
 
 @contextlib.contextmanager
 def silence_viser() -> Iterator[None]:
-    """Suppress the output of viser, which prints through the console of rich."""
+    """Suppress the console output of viser."""
     import rich
 
     console = rich.get_console()
@@ -131,7 +131,7 @@ def silence_viser() -> Iterator[None]:
 
 
 def address(server: Any) -> str:
-    """Build the address of a server's page, such as http://127.0.0.1:8080."""
+    """Return the address of a server, such as http://127.0.0.1:8080."""
     host = server.get_host()
     if host in ("0.0.0.0", "::", ""):
         host = LOOPBACK
@@ -193,11 +193,9 @@ def _find_port(host: str, port: int | None) -> int:
 
 @contextlib.contextmanager
 def _guard_server(local: bool) -> Iterator[list[bool]]:
-    """Let viser start a server that checks each request.
+    """Start viser's server with a check of each request.
 
-    Viser has no option for it.
-
-    Yields a list that is not empty once the server has started so.
+    Viser has no option for it. Yields a list that is not empty once the server has started so.
     """
     import websockets.asyncio.server as module
 
@@ -227,7 +225,7 @@ def _guard_server(local: bool) -> Iterator[list[bool]]:
 
 
 def _extend_page(response: Any) -> Any:
-    """Add the display of the frame rate and the names on hover to a response."""
+    """Add the scripts for frame rate and hover names to a response."""
     response.body = add_hover(adapt_quality(response.body.decode())).encode()
     del response.headers["Content-Length"]
     response.headers["Content-Length"] = str(len(response.body))
@@ -235,9 +233,10 @@ def _extend_page(response: Any) -> Any:
 
 
 def refuse_request(path: str, headers: Any, local: bool) -> str:
-    """Explain why a request is refused; "" if it is not.
+    """Explain why a request is rejected.
 
-    If the server is `local`, the page must know it by a name of this machine.
+    Returns "" if it is accepted. If the server is `local`, the page must address it by a name of
+    this machine.
     """
     host, origin = headers.get("Host") or "", headers.get("Origin")
     try:
@@ -262,7 +261,7 @@ def _is_loopback(name: str) -> bool:
 
 
 def _restrict(connection: Any) -> None:
-    """Drop all handlers of messages that are not accepted."""
+    """Remove the handlers of all messages that are not accepted."""
     handlers = connection._incoming_handlers
     for kind in list(handlers):
         if kind.__name__ not in _ACCEPTED:
@@ -281,7 +280,7 @@ def _check_values(handler: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def is_plain(value: Any) -> bool:
-    """Return whether a page may send this as the value of an input.
+    """Return whether a page may send a value as input.
 
     It may be a Boolean, a finite number, a short text, or a few of them.
     """

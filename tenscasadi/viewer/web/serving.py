@@ -1,4 +1,4 @@
-"""Browser and script beside a running server."""
+"""Functions for pages with a server: opening, waiting, closing."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Own = TypeVar("Own", bound="Served")
 
 
 class Served:
-    """Base of pages with a server, which a ``with`` statement closes at its end."""
+    """Base class of pages with a server, which ``with`` closes."""
 
     _server: Any
 
@@ -38,7 +38,10 @@ class Served:
 
 
 def check_serving(browser: bool | None, wait: bool | None) -> None:
-    """Check two flags that may be None. Raises TypeError."""
+    """Check the flags `browser` and `wait`, which may be None.
+
+    Raises TypeError.
+    """
     for field, value in (("browser", browser), ("wait", wait)):
         if value is not None:
             flag(field, value)
@@ -47,9 +50,9 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
 def open_and_wait(
     url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None
 ) -> None:
-    """Open the browser and hold the script.
+    """Open the browser, and keep the script running.
 
-    The defaults are whether there is a display, and whether a script runs.
+    By default, the browser is opened if there is a display, and the script waits if it is one.
     """
     if browser if browser is not None else _has_display():
         webbrowser.open(url)
@@ -60,7 +63,7 @@ def open_and_wait(
 
 
 def stop(server: Any) -> None:
-    """Stop a server silently."""
+    """Stop a server without console output."""
     with silence_viser():
         server.stop()
 
