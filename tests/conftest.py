@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import shlex
+import shutil
 import signal
 from collections.abc import Iterator
-from tempfile import TemporaryDirectory
+from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryDirectory
 from typing import Any
 
 import pytest
@@ -24,35 +27,37 @@ settings.load_profile("tenscasadi")
 
 # a folder that several runs of the tests share; it has to be as new as the code
 SHARED = "TENSCASADI_TEST_CACHE"
+USERS_COMPILER = "TENSCASADI_TEST_CC"  # what CC was before the tests
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """One cache for all workers of a run: the first process makes it, those that it starts inherit it."""
+    """One cache and compiler for all workers of a run: the first process makes them, those that it starts inherit them."""
     if hasattr(config, "workerinput"):
         return
-    if SHARED in os.environ:
-        os.environ["TENSCASADI_CACHE"] = os.environ[SHARED]
+    if SHARED not in os.environ:
+        folder = TemporaryDirectory(prefix="tenscasadi-tests-", ignore_cleanup_errors=True)
+        config.add_cleanup(folder.cleanup)
+        os.environ[SHARED] = folder.name
+    os.environ["TENSCASADI_CACHE"] = os.environ[SHARED]
+    use_quick_compiler(Path(os.environ[SHARED]))
+
+
+def use_quick_compiler(folder: Path) -> None:
+    """Compile at level -O1, which changes no rounding, here and in the processes that tests start."""
+    given = os.environ[USERS_COMPILER] = os.environ.get("CC", "")
+    if os.name != "posix" or not shutil.which((given or "cc").partition(" ")[0]):
         return
-    folder = TemporaryDirectory(prefix="tenscasadi-tests-", ignore_cleanup_errors=True)
-    config.add_cleanup(folder.cleanup)
-    os.environ["TENSCASADI_CACHE"] = folder.name
-
-
-@pytest.fixture(scope="session", autouse=True)
-def quick_compiler() -> Iterator[Any]:
-    """Compile at level -O1, which changes no rounding; yields the function of the users' flags."""
-    from tenscasadi.util import compile as compiled
-
-    usual = compiled._default_flags
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "_default_flags", lambda compiler: ("-O1", *usual(compiler)[1:]))
-        yield usual
+    folder.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile("w", dir=folder, delete=False) as file:
+        file.write(f'#!/bin/sh\nexec {given or "cc"} "$@" -O1\n')  # the last level counts
+    os.chmod(file.name, 0o700)
+    os.environ["CC"] = shlex.quote(str(Path(file.name).replace(folder / "quick-cc")))
 
 
 @pytest.fixture
-def users_compiler(quick_compiler: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compile with the flags of users, where a test compares the numbers of machine code."""
-    monkeypatch.setattr("tenscasadi.util.compile._default_flags", quick_compiler)
+def users_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compile as for users, where a test compares the numbers of machine code."""
+    monkeypatch.setenv("CC", os.environ[USERS_COMPILER])
 
 
 @pytest.fixture

@@ -25,7 +25,10 @@ BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 @pytest.mark.parametrize(
     ("name", "coordinates"),
     [
-        *((name, "reduced") for name in PEERS),
+        *(
+            pytest.param(name, "reduced", marks=[pytest.mark.slow] * (name == "px_prism_seg05"))
+            for name in PEERS
+        ),
         # the same motions in full coordinates; certified solutions have them, too
         *(
             pytest.param(name, "full", marks=[pytest.mark.slow] * (name not in FULL))

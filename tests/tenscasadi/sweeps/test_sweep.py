@@ -64,7 +64,7 @@ def test_ctrl_c_keeps_finished_cases(tmp_path, keyboard):
 
 
 @pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
-def test_processes_share_compiled_code(tmp_path, monkeypatch, users_compiler):
+def test_processes_share_compiled_code(tmp_path, monkeypatch):
     monkeypatch.setenv("TENSCASADI_CACHE", str(tmp_path / "cache"))
     (tmp_path / "begun").mkdir()
     count = min(2, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
