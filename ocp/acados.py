@@ -119,7 +119,7 @@ class _Limits:
         self.names: list[str] = []
 
     def add(self, rows: ScaledRows, kept: list[int]) -> None:
-        """Add the rows with the indices `kept`."""
+        """Add the constraint rows with the given indices."""
         self.values.append(rows.function(*self.symbols)[kept])
         self.lower += _finite(rows.lower[kept])
         self.upper += _finite(rows.upper[kept])

@@ -89,10 +89,10 @@ class Tracker(ReadOnlyArrays):
     lower, upper : ndarray, shape (nu,)
         Limits of the control.
     hold : Hold or None
-        Law that holds the end of the plan: `state` (nx,), `inputs` (nu,) and `gains`
+        Law that keeps the final state of the plan: `state` (nx,), `inputs` (nu,) and `gains`
         (nu, nx); None if the plan does not end at rest.
     message : str
-        Whether the end of the plan is held, and why not.
+        Whether the final state of the plan is kept, and the reason if not.
 
     Examples
     --------

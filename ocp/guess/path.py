@@ -216,9 +216,10 @@ def _turn_bars(
 ) -> Array | None:
     """Move nodes so that each bar rotates about an axis of its own.
 
-    Nodes are (P, n, 3) [m]. Each bar rotates by the angle nearest to that of its velocities at both
-    ends of the path. Bars nearly keep their lengths, and other nodes stay near their lines. Returns
-    None if no bar rotates far.
+    Nodes are (P, n, 3) [m] at the times of the path. `leaving` and `arriving` are the initial and
+    final velocities (n, 3), and `change` is the interpolation of rotation angles. Each bar rotates
+    by the angle nearest to that of its velocities at both ends. Bars nearly keep their lengths, and
+    other nodes stay near their lines. Returns None if no bar rotates far.
     """
     structure, ends = model.structure, model.structure.bars
     b0, b1, r0, r1 = (

@@ -362,11 +362,10 @@ class Prestress(ControlCost, kind="Prestress"):
 
 @dataclass(frozen=True)
 class Duration(TerminalCost, kind="Duration"):
-    """Cost of a long duration.
+    """Cost weight · T of the duration T [s].
 
-    It is weight · T, with the duration T [s]. It requires a free duration,
-    ``Problem(duration=(shortest, longest))``. Other costs or limits of forces should make short
-    durations expensive or infeasible.
+    It requires a free duration, ``Problem(duration=(shortest, longest))``. Other costs or limits of
+    forces should make short durations expensive or infeasible.
 
     Parameters
     ----------

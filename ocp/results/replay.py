@@ -20,10 +20,11 @@ STIFF_STEPS = 2  # integration steps of an implicit scheme
 
 
 def replay_in_doubt(plan: PlanResult, model: Model) -> Replayed:
-    """Replay a plan in open loop, and repeat it if its steps are in doubt.
+    """Replay a plan in open loop, and check the steps by repetition.
 
-    The step check of `simulate` judges all nodes. If only that check fails, the goals are compared
-    instead: the repetition in half the steps has to meet them, too.
+    The acceptance test of `simulate` compares the positions of all nodes with those of longer
+    steps. If the replay fails it, two replays follow, the second one in half the steps. Both have
+    to meet the goals.
     """
     first = replay_open(plan, model, None, None)
     if first.success:

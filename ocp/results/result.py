@@ -171,14 +171,14 @@ class PlanResult(PlannedForces, Stored):
 
 
 class Replayed(NamedTuple):
-    """Replays that decide about a plan.
+    """Replays by which a plan is accepted or rejected.
 
     Attributes
     ----------
     motions : tuple of Trajectory
-        The replay. If its step check fails, it is repeated in half the steps, and both count.
+        The replay. If it fails the check of its step size, a second one has half the steps.
     failure : str
-        Reason why the replay does not count; "" if it does.
+        Reason why the replay is not valid; "" if it is.
     """
 
     motions: tuple[Trajectory, ...]

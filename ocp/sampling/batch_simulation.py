@@ -58,7 +58,7 @@ class BatchSimulation:
     Parameters
     ----------
     profile : Profile
-        Groups of strings, and the spans over which controls are held.
+        Groups of strings, and the numbers of intervals with equal control.
     steps : int
         Steps of `RungeKutta4` in each interval.
     strength : float

@@ -51,10 +51,11 @@ class Candidate:
 
 
 class Descent:
-    """Gauss-Newton method whose Jacobians come from batches of simulations.
+    """Gauss-Newton method with finite-difference Jacobians of goals and limits.
 
-    The unknowns are changes of the force densities along `directions` (g, α), linear between at
-    most 500 / g knots. `finer` multiplies the number of steps.
+    A batch of simulations gives each Jacobian. The unknowns are factors of the changes `directions`
+    (g, α) of the force densities [N/m]. They are linear in time between at most 500 / g knots.
+    `finer` multiplies the number of time steps.
     """
 
     def __init__(self, motions: BatchSimulation, directions: Array, finer: int = 1) -> None:

@@ -227,10 +227,10 @@ class _Converter:
         return np.append(0.0, np.cumsum(np.repeat(self.intervals / parts, parts)))
 
     def evaluate(self, shares: Array) -> tuple[Array, Array, Array]:
-        """Compute states, planned force densities and rest lengths.
+        """Compute states, planned force densities and rest lengths at given times.
 
-        `shares` are fractions of the duration. The rest lengths are those with the planned force
-        densities, which are linear in them.
+        `shares` are the times as fractions of the duration. The rest lengths are those of elastic
+        strings with the planned force densities. They depend linearly on these.
         """
         states = np.array([self.state_at(share) for share in shares])
         planned = profile_at(self.controls, self.nodes(1), shares)

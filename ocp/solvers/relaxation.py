@@ -257,7 +257,11 @@ def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indi
 
 
 def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tuple[Array, Array]]:
-    """Evaluate constraints, and their violations of both limits."""
+    """Evaluate the constraints of blocks, and their violations.
+
+    For each block, returns the values (count, rows), and lower limits minus values, values minus
+    upper limits (2, count, rows). Positive differences are violations.
+    """
     known = program.parts.unknowns
     y = np.append(known.scale * w, known.constants)
     found = []

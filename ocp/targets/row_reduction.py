@@ -95,9 +95,9 @@ class RowFunction:
 class _Curvature(NamedTuple):
     """Sparse second derivatives of residuals as a CasADi Function.
 
-    The Function y → entries gives, in the given order, the nonzeros of a sparse matrix. It has a
-    row for each nonzero of the residuals' Jacobian, that of residual `row` with respect to the
-    unknown `one`, and a column for each unknown.
+    The Function maps the unknowns y to the nonzeros of a sparse matrix. The matrix has a row for
+    each nonzero ∂r_row/∂y_one of the residuals' Jacobian, and a column for the unknown of the
+    second derivative.
     """
 
     function: ArrayFunction

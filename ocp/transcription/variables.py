@@ -62,7 +62,7 @@ class Entries:
         upper: Any = np.inf,
         interval: Any = 0,
     ) -> Indices:
-        """Add decision variables and return their indices.
+        """Append decision variables to y and return their indices.
 
         The other arguments are broadcast to the initial values `first`.
         """
@@ -71,7 +71,7 @@ class Entries:
         return self._add(named, first, scale, lower, upper, counted, True)
 
     def constants(self, values: Any) -> Indices:
-        """Add constants and return their indices, in the shape of `values`."""
+        """Append constants to y and return their indices, shaped like `values`."""
         return self._add([""] * np.size(values), values, 1.0, 0.0, 0.0, 0, False)
 
     def _add(self, names: Sequence[str], first: Any, *columns: Any) -> Indices:

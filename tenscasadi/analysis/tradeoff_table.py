@@ -445,7 +445,10 @@ def _from_arrays(content: archive.Fields) -> Tradeoff:
 
 
 def _kinds(field: Field[Any]) -> str:
-    """Return NumPy's type codes, such as "fi"; schemes are text."""
+    """Return NumPy's type codes of a field, such as "fi".
+
+    The code of schemes and other objects is that of text.
+    """
     return {"float": "fi", "int": "i", "bool": "b"}.get(str(field.type), "U")
 
 

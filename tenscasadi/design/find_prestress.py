@@ -118,7 +118,7 @@ def find_prestress(
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     goal : Stiffest, Even or Least
         Largest stiffness of the softest motion, most uniform tensions, or least tensions.
     load_cases : sequence of array_like, shape (n, 3), or mapping

@@ -35,7 +35,7 @@ class TangentStiffness:
     Attributes
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     lengths : ndarray (μ,)
         Lengths of members [m]: α strings, β bars, and the bars of bodies.
     unit : ndarray of int (μ,)
@@ -90,7 +90,7 @@ class TangentStiffness:
         return len(self.pairs) - len(self.structure.strings) - len(self.structure.bars)
 
     def _add_units(self, rows: Any) -> sp.csr_array:
-        """Add the rows (μ, ·) of the strings of each cable."""
+        """Sum the rows of a matrix (μ, ·) over the strings of each cable."""
         if not self.structure.cables:
             return rows
         each = np.arange(len(self.unit))

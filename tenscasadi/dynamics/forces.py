@@ -233,7 +233,8 @@ class StringForces(ForceElement):
     def power(self, at: NodeMotion, stored: bool) -> Any:
         """Compute the power −γ sᵀṡ of all strings [W].
 
-        If their energy is `stored`, it is the power of damping.
+        If `stored`, the rate of their elastic energy is excluded, so that the power is that of
+        damping.
         """
         gamma, S = self.force_density(at.N, at.V)
         if stored and not self.scene.commands_forces:
@@ -257,7 +258,8 @@ class StringForces(ForceElement):
     def margins(self, at: NodeMotion) -> Any:
         """Compute the elongations (1×m) [m] of strings until they break.
 
-        Cables and strings in no cable have one each. They compare with those of slack events.
+        Cables and strings in no cable have one each. They have the unit and the scale of the
+        switching functions of slack strings.
         """
         s, breakable = self.scene.modelled, self.scene.breakable_inputs
         if not len(breakable):

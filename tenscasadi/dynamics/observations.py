@@ -42,7 +42,7 @@ class Energy(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Sum of all three [J]."""
+        """Sum of kinetic, elastic and gravity energy [J]."""
         return self.kinetic + self.elastic + self.gravity
 
 

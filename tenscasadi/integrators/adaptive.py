@@ -221,7 +221,7 @@ def _find_events(
 def _break_strings(model: Model, z: Any, u: Any, power: bool) -> tuple[Any, Any]:
     """Mark strings that are overloaded at the start of a step as broken.
 
-    Returns whether there is any, None if no string can break, and z.
+    Returns a flag that there are such strings, None if no string can break, and z after the change.
     """
     if not count_breakable(model):
         return None, z

@@ -44,7 +44,7 @@ def forces(
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     tension : array_like, shape (α,)
         Tensions of strings [N].
     bar_force : array_like, shape (β,)
@@ -114,7 +114,7 @@ def mode_shapes(
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     modes : array_like, shape (k, n, 3)
         Displacements of any scale; the largest is drawn as an eighth of the structure.
     labels : sequence of str, shape (k,)

@@ -14,8 +14,8 @@ from tenscasadi.util.validate import Array, Indices
 class CapsulePoints(NamedTuple):
     """Centers of spheres on the axes of bars, for contact with a ground.
 
-    A sphere's contact force has a weight. The weights of a bar add up to 2, which is two ends on a
-    plane.
+    The contact force of each sphere is multiplied by a weight. The weights of a bar add up to 2, so
+    that a bar that lies on a plane has the contact stiffness of its two end nodes.
     """
 
     bars: Indices  # (m,)

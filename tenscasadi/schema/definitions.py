@@ -51,7 +51,10 @@ class Field(NamedTuple):
     text: str = ""
 
     def write_default(self) -> list[Any]:
-        """Return the default in file form, as a list of at most one entry."""
+        """Convert the default value to its form in files.
+
+        The result is a list with this entry, empty if there is no default.
+        """
         none = self.default is None or self.default is MISSING
         return [] if none else [self.type.write(self.default)]
 

@@ -59,7 +59,7 @@ def equilibrium_force_density(
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     loads : array_like, shape (n, 3), or mapping, optional
         Forces on the nodes, or on some by name or index [N]. Default: none.
     minimum : array_like, shape (α,)

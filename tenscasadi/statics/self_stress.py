@@ -26,7 +26,7 @@ def self_stress(structure: Structure) -> Array:
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def mechanisms(structure: Structure) -> Array:
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
 
     Returns
     -------

@@ -50,7 +50,7 @@ class Stability(ReadOnlyArrays):
     Attributes
     ----------
     structure : Structure
-        The structure in its nodes, with subdivided strings.
+        The structure, evaluated at its nodes, with subdivided strings.
     force_density : ndarray, shape (α + β,)
         Force densities: γ of strings, then λ of bars, positive in compression [N/m].
     residual : float
@@ -228,7 +228,7 @@ def stability(
     Parameters
     ----------
     source : Structure, Scene, Model or Equilibrium
-        The structure in its nodes, or an equilibrium.
+        The structure, evaluated at its nodes, or an equilibrium.
     force_density : array_like, shape (α,) or (α + β,), optional
         Force densities of strings, then of bars, as in `Structure.prestressed`. All strings then
         have their elastic stiffness, for any force density. Default: those of the rest lengths. If

@@ -30,7 +30,7 @@ def is_super_stable(structure: Structure, density: Any) -> bool:
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     density : sparse array, shape (n, n)
         Force density matrix [N/m].
 

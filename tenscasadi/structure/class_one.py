@@ -111,7 +111,7 @@ def connectivity(pairs: Indices, count: int) -> csr_array:
 
 
 def measure_extent(nodes: Array) -> float:
-    """Measure the largest distance of nodes (n, 3) along an axis [m]."""
+    """Measure the largest extent of nodes (n, 3) along an axis [m]."""
     return float(np.ptp(nodes, axis=0).max(initial=0.0))
 
 

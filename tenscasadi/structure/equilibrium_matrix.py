@@ -37,7 +37,7 @@ def equilibrium_matrix(structure: Any) -> Any:
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Ar
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     gamma : ndarray, shape (α,)
         Force densities γ of the strings [N/m].
     loads : ndarray, shape (n, 3), optional
@@ -78,7 +78,7 @@ def balance_bars(structure: Any, gamma: Array, loads: Array | None = None) -> Ar
     Returns
     -------
     ndarray, shape (β,)
-        λ of least norm among those of the least unbalanced forces [N/m]; λ > 0 is compression.
+        Least-norm λ among those with the smallest unbalanced forces [N/m]; λ > 0 is compression.
     """
     from scipy.sparse.linalg import lsqr  # takes a while to load
 

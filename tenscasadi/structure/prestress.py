@@ -28,12 +28,13 @@ def find_rest_lengths(
 ) -> dict[str, Array]:
     """Compute the rest lengths of strings and elastic bars.
 
-    They are ρ = s (1 − γ/k) and ρ = l (1 + λ/k).
+    They are ρ = s (1 − γ/k) for strings of length s, force density γ and stiffness k, and ρ = l (1
+    + λ/k) for bars of length l and force density λ, positive in compression.
 
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, whose nodes determine the lengths.
     force_density : array_like, shape (α,) or (α + β,)
         γ of strings [N/m], then λ of bars, positive in compression.
     compression_strings : iterable of int

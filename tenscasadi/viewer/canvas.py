@@ -277,11 +277,11 @@ class Canvas:
                 layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
-        """Convert a position on the page to coordinates of the structure [m]."""
+        """Convert a position in the viewer to structure coordinates [m]."""
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
-        """Convert structure coordinates to coordinates of the layers [m]."""
+        """Convert structure coordinates to coordinates of the drawn meshes [m]."""
         return np.asarray(position, dtype=float) + self._shift
 
 

@@ -46,7 +46,7 @@ class Runner:
     def do(self, order: Callable[[], Any]) -> None:
         """Queue a function for execution before the next frame.
 
-        Errors of invalid values are dropped, because the values come from a page.
+        Errors due to invalid values are ignored, as a browser may send any value.
         """
         self._orders.put(order)
         self._wake.set()

@@ -134,7 +134,8 @@ class WorkingSet:
     def learn(self, sizes: Array) -> None:
         """Store the typical compliance of the selected constraints.
 
-        Their compliances are the entries of `sizes`.
+        The compliances J D⁻¹ Jᵀ of constraints with gradient J in the metric D are the entries of
+        `sizes`.
         """
         if len(sizes):
             self.size = float(np.median(sizes))

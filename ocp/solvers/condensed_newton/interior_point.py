@@ -263,7 +263,7 @@ class InteriorPoint:
         )
 
     def _most(self) -> float:
-        """Compute the step-to-boundary fraction."""
+        """Compute the fraction-to-the-boundary parameter of the step."""
         return max(0.99, 1 - self.mu / self.unit)
 
     def _is_close(self, point: Iterate) -> bool:

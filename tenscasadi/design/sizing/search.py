@@ -126,9 +126,10 @@ def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
     c, strength = sections.buckling, sections.strength
 
     def chords(low: Array, high: Array) -> BucklingRows:
-        """Build lower bounds of areas as chords over compression intervals.
+        """Replace the buckling curve √(F/c) by its chord over an interval.
 
-        They apply to bars for which buckling governs.
+        The intervals of the compressions F of bars are [low, high] [N]. The chords are lower bounds
+        of the areas. They apply to bars for which buckling governs.
         """
         edge = strength**2 / c  # N, compression above which yield governs
         a, b = low, np.minimum(high, edge)

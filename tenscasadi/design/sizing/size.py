@@ -61,7 +61,7 @@ def size(
     Parameters
     ----------
     structure : Structure
-        The structure in its nodes.
+        The structure, evaluated at its nodes.
     load_cases : sequence of array_like, shape (n, 3), or mapping
         Forces on the nodes, or on some by name or index [N]. Each case acts alone. Without one,
         the self-weight acts alone.

@@ -252,7 +252,7 @@ class StableSizing:
 
 
 def _triangles(matrices: Array) -> Array:
-    """Arrange the scaled triangles of matrices (k, r, r) as columns."""
+    """Stack the scaled upper triangles of matrices (k, r, r) as columns."""
     return np.stack([scaled_triangle(each) for each in matrices], axis=1)
 
 

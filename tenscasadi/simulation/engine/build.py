@@ -81,7 +81,7 @@ def build_kernel(
         Whether to begin without machine code and compile once this saves wall time, if `compiled`
         is None.
     companions : bool
-        Whether lanes hold companions of one run with longer steps, if the scheme allows it.
+        Whether SIMD lanes also compute one run with longer steps, if the scheme allows it.
 
     Returns
     -------

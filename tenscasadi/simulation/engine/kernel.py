@@ -197,7 +197,7 @@ class Kernel:
             Progress and deadline. After Ctrl-C or the deadline, unfinished runs have the status
             STOPPED.
         compare_every : int
-            Steps between rows that compare a single run with companions in steps of 2 h and 4 h, a
+            Steps between rows that compare a single run of steps h with runs of steps 2 h and 4 h, a
             multiple of 4, as are the steps of all intervals; 0: none. It needs a backend with
             `companions`.
 

@@ -166,13 +166,13 @@ class _Repetition:
         self.rounding = request.rounding
 
     def select(self, places: Indices) -> _Repetition:
-        """Select runs by their indices within this repetition."""
+        """Select runs by their indices in this set of repeated runs."""
         chosen = _Repetition(self._runs, self._which[places])
         chosen._stopped = self._stopped
         return chosen
 
     def compare_steps(self, factor: float) -> Array:
-        """Compute distances (m, T) to runs with another step [m].
+        """Compute largest nodal displacements (m, T) [m] from runs of another step.
 
         They are NaN at rows without a common time, and inf if a run has diverged.
         """
@@ -191,7 +191,7 @@ class _Repetition:
         )
 
     def compare_tolerance(self, factor: float) -> Array:
-        """Compute distances (m, T) to runs with another tolerance [m]."""
+        """Compute largest nodal displacements (m, T) [m] from runs of another tolerance."""
         scheme: Any = self._runs.request.scheme
         rtol = float(np.clip(factor * scheme.rtol, 1e-15, 0.5))
         atol = None if scheme.atol is None else factor * scheme.atol

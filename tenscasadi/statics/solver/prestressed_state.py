@@ -140,7 +140,7 @@ class PrestressedState:
         Returns
         -------
         csc_array (free, free)
-            Σ Δt/l (I − e eᵀ) of all members [N/m].
+            Σ Δt/l (I − e eᵀ) over all members, of length l, direction e and tension change Δt [N/m].
         """
         y, tension = self.displace(forces)
         equations, point = self.system.equations, self.point

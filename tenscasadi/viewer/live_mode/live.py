@@ -88,10 +88,12 @@ class Live(Served):
     def do(self, order: Callable[[], Any]) -> None:
         """Execute a function in the simulation's thread between two ticks.
 
+        A tick is an interval of constant inputs.
+
         Parameters
         ----------
         order : callable
-            Function. Errors of invalid values are dropped, because values come from a page.
+            Function. Its errors due to invalid values are ignored, as a browser may send any value.
         """
 
         def change() -> None:
