@@ -70,70 +70,100 @@ class _LimitRow(NamedTuple):
     needed: Any
 
 
-def find_conflict(
-    problem: Problem, state: Array, moment: str, fixed: Any = None
-) -> Conflict | None:
-    """Find the most violated limit at a state.
+class _LinearLimits(NamedTuple):
+    """Limits that are linear in the controls.
 
-    A linear program chooses controls that minimize the largest relative violation of all limits.
-    Returns None if this violation is negligible. ``moment`` is "start" or "end" of an interval.
-    ``fixed`` (nx,) marks the known entries of the state (None: all of them); quantities that depend
-    on other entries are ignored.
+    Attributes
+    ----------
+    limited : the constraint.
+    linear : whether a row of it is linear in the controls (m,).
+    needed : whether a row depends on an entry of the state (m, nx).
+    function : from the symbols to the value (m,) and its gradient (m, nu).
     """
-    moments = {moment, "last"} if moment == "end" else {moment}
-    rows = [
-        row
-        for one in path_constraints(problem, PathBound, implied=True)
-        if moments.intersection(one.ends)
-        for row in _read_linear_rows(one, state)
-        if fixed is None or fixed[row.needed].all()
-    ]
-    if not rows:
-        return None
-    lower, upper = problem.control_limits
-    A, b = np.array([row.slope for row in rows]), np.array([row.room for row in rows])
-    best = scipy.optimize.linprog(
-        np.append(np.zeros(len(lower)), 1.0),
-        A_ub=np.column_stack([A, -np.ones(len(b))]),
-        b_ub=b,
-        bounds=np.vstack([np.column_stack([lower, upper]), [0.0, np.inf]]),
-    )
-    if best.x is None or best.x[-1] < RESOLUTION:
-        return None
-    excess = A @ best.x[:-1] - b
-    k = int(np.argmax(excess))
-    row = rows[k]
-    side = "at most" if row.sign > 0 else "at least"
-    value = row.limit + row.sign * row.size * excess[k]
-    return Conflict(
-        row.name,
-        row.needed,
-        f"{row.name} has to be {side} {row.limit:g} {row.unit}".rstrip() + f", and is {value:.4g}",
-        not row.slope.any(),
-        float(excess[k]),
-    )
+
+    limited: PathConstraint
+    linear: Any
+    needed: Any
+    function: ca.Function
+
+    @staticmethod
+    def of(limited: PathConstraint) -> _LinearLimits:
+        """Differentiate a constraint by the controls."""
+        (state, control, *_), value = limited.symbols, ca.densify(limited.value)
+        needed = np.zeros((value.shape[0], state.shape[0]), dtype=bool)
+        pattern = np.array(limited.function.jac_sparsity(0, 0).get_triplet(), dtype=np.intp)
+        needed[tuple(pattern)] = True
+        gradient = ca.densify(ca.jacobian(value, control))
+        return _LinearLimits(
+            limited,
+            ~np.array(ca.which_depends(value, control, 2, True), dtype=bool),
+            needed,
+            ca.Function("linear", limited.symbols, [value, gradient]),
+        )
+
+    def list_rows(self, state: Array) -> list[_LimitRow]:
+        """List the finite limits with their coefficients at a state."""
+        at_none, slope = (part.full() for part in self.function(state, 0, 0))
+        finite = self.linear & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1)
+        rows = []
+        for sign, limits in ((1.0, self.limited.upper), (-1.0, self.limited.lower)):
+            for k in np.flatnonzero(finite & np.isfinite(limits)):
+                limit, size = float(limits[k]), max(abs(float(limits[k])), 1e-9)
+                room = float(sign * (limit - at_none[k, 0]) / size)
+                own = self.limited.names[k], self.limited.unit, sign, size, self.needed[k]
+                rows.append(_LimitRow(sign * slope[k] / size, room, limit, *own))
+        return rows
 
 
-def _read_linear_rows(limited: PathConstraint, state: Array) -> list[_LimitRow]:
-    """Extract the limits that are linear in the controls.
+class LimitCheck:
+    """Check of all limits of a problem at single instants.
 
-    Their coefficients are evaluated at the given state.
+    Bounds enter by the weaker constraints that they imply (`PathBound.imply`).
     """
-    value, control = ca.densify(limited.value), limited.symbols[1]
-    linear = ~np.array(ca.which_depends(value, control, 2, True), dtype=bool)
-    function = ca.Function(
-        "linear", limited.symbols, [value, ca.densify(ca.jacobian(value, control))]
-    )
-    at_none, slope = (part.full() for part in function(state, 0, 0))
-    needed = np.zeros((len(at_none), len(state)), dtype=bool)
-    pattern = np.array(limited.function.jac_sparsity(0, 0).get_triplet(), dtype=np.intp)
-    needed[tuple(pattern)] = True
-    finite = linear & np.isfinite(at_none[:, 0]) & np.isfinite(slope).all(axis=1)
-    rows = []
-    for sign, limits in ((1.0, limited.upper), (-1.0, limited.lower)):
-        for k in np.flatnonzero(finite & np.isfinite(limits)):
-            limit, size = float(limits[k]), max(abs(float(limits[k])), 1e-9)
-            room = float(sign * (limit - at_none[k, 0]) / size)
-            own = limited.names[k], limited.unit, sign, size, needed[k]
-            rows.append(_LimitRow(sign * slope[k] / size, room, limit, *own))
-    return rows
+
+    def __init__(self, problem: Problem) -> None:
+        self._control_limits = problem.control_limits
+        constraints = path_constraints(problem, PathBound, implied=True)
+        self._linear = [_LinearLimits.of(one) for one in constraints]
+
+    def find_conflict(self, state: Array, moment: str, fixed: Any = None) -> Conflict | None:
+        """Find the most violated limit at a state.
+
+        A linear program chooses controls that minimize the largest relative violation of all
+        limits. Returns None if this violation is negligible. ``moment`` is "start" or "end" of an
+        interval. ``fixed`` (nx,) marks the known entries of the state (None: all of them);
+        quantities that depend on other entries are ignored.
+        """
+        moments = {moment, "last"} if moment == "end" else {moment}
+        rows = [
+            row
+            for one in self._linear
+            if moments.intersection(one.limited.ends)
+            for row in one.list_rows(state)
+            if fixed is None or fixed[row.needed].all()
+        ]
+        if not rows:
+            return None
+        lower, upper = self._control_limits
+        A, b = np.array([row.slope for row in rows]), np.array([row.room for row in rows])
+        best = scipy.optimize.linprog(
+            np.append(np.zeros(len(lower)), 1.0),
+            A_ub=np.column_stack([A, -np.ones(len(b))]),
+            b_ub=b,
+            bounds=np.vstack([np.column_stack([lower, upper]), [0.0, np.inf]]),
+        )
+        if best.x is None or best.x[-1] < RESOLUTION:
+            return None
+        excess = A @ best.x[:-1] - b
+        k = int(np.argmax(excess))
+        row = rows[k]
+        side = "at most" if row.sign > 0 else "at least"
+        value = row.limit + row.sign * row.size * excess[k]
+        return Conflict(
+            row.name,
+            row.needed,
+            f"{row.name} has to be {side} {row.limit:g} {row.unit}".rstrip()
+            + f", and is {value:.4g}",
+            not row.slope.any(),
+            float(excess[k]),
+        )

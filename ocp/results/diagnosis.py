@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.bounds.bound import PathBound, RateBound
-from ocp.problem.limit_conflict import find_conflict
+from ocp.problem.limit_conflict import LimitCheck
 from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import UNBOUNDED
@@ -145,7 +145,7 @@ def _describe_limits(
         often, _ = Counter(name.split(",")[0] for name in names).most_common(1)[0]
         parts.append(f"upper limits are active {len(names)} times, most often the {often}")
     if target.state is not None and not problem.phases:
-        conflict = find_conflict(problem, target.state, "end")
+        conflict = LimitCheck(problem).find_conflict(target.state, "end")
         if conflict is not None:
             parts.append(f"where the goals are met, {conflict.message}")
     return parts

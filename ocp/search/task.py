@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.problem.control import control_name, control_unit
-from ocp.problem.limit_conflict import find_conflict
+from ocp.problem.limit_conflict import LimitCheck
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.sampling.solver import Sampling
@@ -20,6 +20,7 @@ from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import Profile, group_matrix
 from tenscasadi.util.troubleshooting import add_address
+from tenscasadi.util.validate import Array
 
 Method = Solver | CondensedNewton | Sampling
 
@@ -71,8 +72,10 @@ def prepare(
         return PlanningTask(problem, None, scales, tolerance, monitor)
     target = find_target(problem, scales, near).permit(0.5 * tolerance / scales.length)
     if not problem.free_start:
-        check_start(problem)
-        check_end(problem, target)
+        limits = LimitCheck(problem)
+        check_start(limits, np.asarray(problem.start))
+        if not problem.periodic_goals:
+            check_end(limits, target)
     return PlanningTask(problem, target, scales, tolerance, monitor)
 
 
@@ -95,12 +98,12 @@ def check_groups(problem: Problem, profile: Profile) -> None:
             )
 
 
-def check_start(problem: Problem) -> None:
+def check_start(limits: LimitCheck, start: Array) -> None:
     """Check that some control satisfies all limits at the start.
 
     Raises ValueError if there is none.
     """
-    conflict = find_conflict(problem, np.asarray(problem.start), "start")
+    conflict = limits.find_conflict(start, "start")
     if conflict is not None:
         raise add_address(
             ValueError(
@@ -109,12 +112,12 @@ def check_start(problem: Problem) -> None:
         )
 
 
-def check_end(problem: Problem, target: Target) -> None:
+def check_end(limits: LimitCheck, target: Target) -> None:
     """Check that limits permit the coordinates prescribed by goals.
 
     Raises InfeasibleGoalError if they do not.
     """
-    if target.state is None or problem.periodic_goals:
+    if target.state is None:
         return
     x = ca.SX.sym("x", len(target.state))
     rows = target.single(x)[: len(target.names)]
@@ -122,7 +125,7 @@ def check_end(problem: Problem, target: Target) -> None:
     row, column = np.array(ca.jacobian(rows, x).sparsity().get_triplet(), dtype=np.intp)
     alone = linear[row] & (np.bincount(row, minlength=len(target.names))[row] == 1)
     fixed = np.isin(np.arange(len(target.state)), column[alone])
-    conflict = find_conflict(problem, target.state, "end", fixed)
+    conflict = limits.find_conflict(target.state, "end", fixed)
     if conflict is None:
         return
     certificate = Certificate({conflict.name: 1.0}, conflict.excess, "linear")

@@ -10,6 +10,7 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
+from ocp.problem.limit_conflict import LimitCheck
 from ocp.problem.scaling import Scales
 from ocp.search.task import check_end
 from ocp.targets.find_target import find_target
@@ -194,7 +195,7 @@ ALLOWED = {
 @pytest.mark.parametrize("name", ALLOWED)
 def test_what_may_be_is_not_refused(name):
     problem = ALLOWED[name]()
-    check_end(problem, find_target(problem, Scales.of(problem)))
+    check_end(LimitCheck(problem), find_target(problem, Scales.of(problem)))
 
 
 @pytest.mark.parametrize("name", REFUSED)
