@@ -154,7 +154,7 @@ def assess_plan(
     )
     missed = find_missed_goal(plan, target, tolerance) if whole else ""
     growth = ""
-    if whole and open_loop.worst(duration) > tolerance:
+    if whole and open_loop.worst(duration) > tolerance and open_loop.note != UNFINISHED:
         growth = describe_growth(plan, tolerance)
     if tracked or growth:
         counts = _verify(plan, target, replay, True)
@@ -181,8 +181,8 @@ def assess_plan(
     ends = counts.describe(name, success)
     if plan.tracked:
         reason = growth or "tracked=True"
-        ends += f"; it counts as {reason}: {open_loop.describe('open-loop replay', True)}"
-        ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)"
+        ends += f"; it counts, as {reason}; {open_loop.describe('open-loop replay', True)}"
+        ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)" * success
     beyond = _describe_violation(plan, counts.motion) if success else ""
     parts = verdict, found.imposed, ends, overload, beyond
     planned = replace(plan.trajectory, success=plan.trajectory.success or success)

@@ -31,7 +31,7 @@ _CAUSES = {
     "undetermined": "the equations of motion do not determine the states here: give solver=ocp.Ipopt()",
     "unstable": "errors grow too much along the guess to eliminate the states: give solver=ocp.Ipopt(), or another guess",
     "Maximum_Iterations_Exceeded": "stopped at the iteration limit: increase max_iterations of the solver",
-    "Infeasible_Problem_Detected": f"no plan near this one meets all constraints: {_ROOM}, or give more intervals",
+    "Infeasible_Problem_Detected": f"the constraint violation does not decrease near this motion: {_ROOM}, or give more intervals",
     "Restoration_Failed": f"IPOPT's restoration phase failed: {_ROOM}",
     "Invalid_Number_Detected": "a function became infinite: give more intervals or substeps",
     "Diverging_Iterates": f"the motion grew without bound: {_ROOM}",

@@ -164,8 +164,9 @@ class BatchSimulation:
         lengths = duration * self.fractions[first : first + count]
         controls, states = np.empty((n, count, nu)), np.empty((n, count + 1, self.problem.model.nx))
         states[:, 0], cost = starts, np.zeros(n)
-        threads = max(1, min(self._threads, n // 16))
         steps = self.steps * finer
+        # to start a thread costs as much as some thousand steps
+        threads = max(1, min(self._threads, n * steps // 4000))
         inputs = np.empty((n, 1, nu + 1))
         for k in range(count):
             if k and self._spans[first + k] == self._spans[first + k - 1]:

@@ -96,24 +96,37 @@ def _find_self_stress(problem: Problem) -> Array:
     return np.asarray(gamma / gamma.mean())
 
 
-def find_symmetry_groups(problem: Problem) -> tuple[tuple[int, ...], ...]:
-    """Find groups of strings by symmetry about the vertical.
+def find_symmetry_groups(
+    problem: Problem, end: Array, tolerance: float
+) -> tuple[tuple[int, ...], ...]:
+    """Find groups of strings by the symmetry of start and goals.
 
-    The strings of a group have equal initial lengths, and ends of equal initial heights.
+    The strings of a group have equal initial lengths, and ends of equal initial heights. If the
+    target state `end` (nx,) is farther than the tolerance [m] to the side of the start, its
+    direction breaks the symmetry about the vertical: the ends are also equally far along it.
     """
     model, structure = problem.model, problem.model.scene.structure
-    nodes = model.nodes(problem.initial_state)[: len(structure.nodes)]
+    nodes, last = (
+        model.nodes(state)[: len(structure.nodes)] for state in (problem.initial_state, end)
+    )
     down = (
         np.array([0.0, 0.0, -1.0])
         if model.scene.gravity is None
         else ca.DM(model.scene.gravity.at(0.0)).full().ravel()
     )
-    height = -nodes @ down / (np.linalg.norm(down) or 1.0)
-    ends = np.sort(height[structure.strings], axis=1)
+    down /= np.linalg.norm(down) or 1.0
+    moved = (last - nodes).mean(axis=0)
+    aside = moved - (moved @ down) * down
+    if np.linalg.norm(aside) <= tolerance:
+        aside[:] = 0.0
+    ends = [
+        np.sort((nodes @ along)[structure.strings], axis=1)
+        for along in (-down, aside / (np.linalg.norm(aside) or 1.0))
+    ]
     length = distances(nodes, structure.strings)
     near = RESOLUTION * measure_diagonal(nodes)
     found: list[tuple[Array, list[int]]] = []
-    for string, values in enumerate(np.column_stack([length, ends])):
+    for string, values in enumerate(np.column_stack([length, *ends])):
         for first, members in found:
             if np.abs(first - values).max() <= near:
                 members.append(string)

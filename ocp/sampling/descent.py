@@ -10,7 +10,7 @@ from ocp.sampling.batch_simulation import BatchSimulation, Watcher
 from tenscasadi.util.validate import Array
 
 PROBE = 1e-4  # change of finite differences, in units of the directions
-SETTLED = 0.02  # residual in units of the tolerance below which the method ends
+SETTLED = 0.3  # residual in units of the tolerance below which the method ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,10 @@ class Descent:
             ):
                 return point, k
             best = self._step(point)
+            if not best.merit < point.merit:  # the next step would be the same
+                return point, k
             stalls = 0 if best.merit < 0.95 * point.merit else stalls + 1
-            point = min(point, best, key=lambda one: one.merit)
+            point = best
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:

@@ -24,6 +24,7 @@ from ocp.sampling.spline_noise import SplineNoise
 from ocp.solvers.base import Outcome
 from ocp.solvers.early_stop import stop_early
 from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
+from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
 from ocp.transcription.mesh import Guess, held_values
 from tenscasadi.integrators.stability import contact_rate, contact_step
@@ -62,6 +63,7 @@ def check_sampling(problem: Problem, transcription: Transcription, solver: Sampl
 def solve_sampled(
     problem: Problem,
     transcription: Transcription,
+    target: Target,
     guess: Guess | None,
     solver: Sampling,
     monitor: Monitor,
@@ -73,6 +75,8 @@ def solve_sampled(
     ----------
     transcription : Transcription
         Its intervals and groups of strings are used.
+    target : Target
+        Target of the goals.
     guess : Guess or None
         Start of Gauss-Newton. A search follows if that fails.
     tolerance : float
@@ -81,7 +85,7 @@ def solve_sampled(
     check_sampling(problem, transcription, solver)
 
     def build() -> _Method | None:
-        return _Method(problem, transcription, solver, monitor, tolerance)
+        return _Method(problem, transcription, target, solver, monitor, tolerance)
 
     def stop() -> Outcome:
         best = None if method is None else method.best
@@ -100,10 +104,12 @@ class _Method:
         self,
         problem: Problem,
         transcription: Transcription,
+        target: Target,
         solver: Sampling,
         monitor: Monitor,
         tolerance: float,
     ) -> None:
+        self._end = problem.initial_state if target.state is None else target.state
         self._problem, self._solver, self._monitor = problem, solver, monitor
         self._defaults, scales = choose_defaults(problem), Scales.of(problem)
         self._shared = transcription.control.groups
@@ -172,7 +178,7 @@ class _Method:
                     continue
                 for one in found[:2]:
                     self._polish(one.whole, one.duration, directions)
-                    if self._stopped or self._miss <= 0.5:
+                    if self._stopped or self._miss <= 1.0:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
@@ -214,7 +220,7 @@ class _Method:
         levels = (
             [given]
             if given is not None
-            else [find_symmetry_groups(self._problem), alone]
+            else [find_symmetry_groups(self._problem, self._end, self._motions.place), alone]
             if not self._shared
             else [alone]
         )

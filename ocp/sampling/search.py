@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -121,8 +122,15 @@ class Search:
         costs: list[float] = []
         for k in range(self._rounds):
             scale = 0.05 ** (k / self._rounds)
+            # those of equal durations are simulated together
             found = sorted(
-                (self._improve(one, first, basis, scale) for one in found),
+                (
+                    better
+                    for _, same in groupby(
+                        sorted(found, key=lambda one: one.duration), key=lambda one: one.duration
+                    )
+                    for better in self._improve(list(same), first, basis, scale)
+                ),
                 key=lambda one: one.cost,
             )
             costs.append(found[0].cost)
@@ -136,37 +144,42 @@ class Search:
                 found = found[: len(found) // 2]
         return found
 
-    def _improve(self, one: Lineage, first: int, basis: Array, scale: float) -> Lineage:
-        """Return the best of random changes of a trajectory, or itself."""
-        sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(self._samples)
-        noise = self._random.standard_normal((self._samples, basis.shape[1], len(self._directions)))
-        tried = one.knots + sizes[:, None, None] * (noise @ self._directions)
-        wanted = np.clip(self._nominal + basis @ tried, *self._motions.problem.force_density_limits)
-        gamma, states, costs = self._motions.roll(
-            np.tile(one.start, (len(tried), 1)), wanted, one.duration, first
+    def _improve(
+        self, lineages: list[Lineage], first: int, basis: Array, scale: float
+    ) -> list[Lineage]:
+        """Return the best of samples about each lineage, itself included.
+
+        The lineages have the same duration [s].
+        """
+        motions, duration, size = self._motions, lineages[0].duration, self._samples
+        sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(size)[:, None, None]
+        shape = size, basis.shape[1], len(self._directions)
+        noise = [self._random.standard_normal(shape) @ self._directions for _ in lineages]
+        tried = np.concatenate(
+            [one.knots + sizes * own for one, own in zip(lineages, noise, strict=True)]
         )
+        wanted = np.clip(self._nominal + basis @ tried, *motions.problem.force_density_limits)
+        starts = np.repeat([one.start for one in lineages], size, axis=0)
+        gamma, states, costs = motions.roll(starts, wanted, duration, first)
         # positions first: velocities count little
-        missed = self._motions.misses(states, one.duration, first, 50.0)
-        if first + wanted.shape[1] == len(self._motions.fractions):
-            missed = np.concatenate(
-                [
-                    missed,
-                    3.0 * self._motions.excess(states, gamma, one.duration, last_only=True),
-                ],
-                axis=1,
-            )
+        missed = motions.misses(states, duration, first, 50.0)
+        if first + wanted.shape[1] == len(motions.fractions):
+            over = motions.excess(states, gamma, duration, last_only=True)
+            missed = np.concatenate([missed, 3.0 * over], axis=1)
         # of motions that meet the goals, calm ones are better
         change = ((wanted - self._nominal) ** 2).mean(axis=(1, 2)) / self._room
         costs = np.nan_to_num(costs + (missed**2).sum(axis=1) + 3.0 * change, nan=np.inf)
-        k = int(np.argmin(costs))
-        if not costs[k] < one.cost:
-            return one
-        worst = float(np.abs(missed[k]).max(initial=0.0))
-        return replace(
-            one,
-            knots=tried[k],
-            wanted=wanted[k],
-            end=states[k, -1],
-            cost=float(costs[k]),
-            miss=worst,
-        )
+        best = np.argmin(costs.reshape(-1, size), axis=1) + size * np.arange(len(lineages))
+        return [
+            one
+            if not costs[k] < one.cost
+            else replace(
+                one,
+                knots=tried[k],
+                wanted=wanted[k],
+                end=states[k, -1],
+                cost=float(costs[k]),
+                miss=float(np.abs(missed[k]).max(initial=0.0)),
+            )
+            for one, k in zip(lineages, best.tolist(), strict=True)
+        ]

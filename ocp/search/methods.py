@@ -76,7 +76,9 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
             return outcome, None if first is None else target
     if isinstance(solver, Sampling):
         known = None if first is None else first.perturb(*problem.control_limits)
-        outcome = solve_sampled(problem, transcription, known, solver, monitor, task.tolerance)
+        outcome = solve_sampled(
+            problem, transcription, target, known, solver, monitor, task.tolerance
+        )
         return outcome, target
     if first is None:
         raise TypeError("a program has an initial guess")

@@ -199,7 +199,7 @@ class Target:
         left_out = [f"{count} {kind}" for kind, count in self.reduction.repeated.items()]
         left_out += [f"{self.shape} added for the shape"] if self.shape else []
         text = f"{given} → {self.count} rows" + (": " + ", ".join(left_out) if left_out else "")
-        text += "" if self.met else "; no state was found that meets the goals"
+        text += "" if self.met else "; no target state was found"
         text += (
             f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
         )

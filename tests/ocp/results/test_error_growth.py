@@ -90,7 +90,7 @@ def test_tracked_replay_counts_where_errors_grow():
     assert plan.tracked
     assert plan.replay_error <= 3e-3 < plan.open_loop_error
     assert "its tracked replay ends" in plan.message
-    assert "it counts as errors grow 9.8e+03-fold in open loop" in plan.message
+    assert "it counts, as errors grow 9.8e+03-fold in open loop" in plan.message
     for cure in ("ocp.track(plan)", "ocp.Mpc"):
         assert cure in plan.message
 

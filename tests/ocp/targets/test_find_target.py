@@ -285,7 +285,7 @@ def test_goals_without_a_proof_are_tried_with_a_warning():
     with pytest.warns(ocp.TargetNotFoundWarning, match="StringLengths"):
         found = target(driven(tc.shapes.t_bar()), [ocp.StringLengths(lengths)])
     assert not found.met
-    assert "no state was found" in found.describe()
+    assert "no target state was found" in found.describe()
 
 
 @pytest.mark.parametrize("angle", [1.0, 2.5, 3.1])
