@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
+from tenscasadi.util.casadi_tools import unroll_products
 from tenscasadi.util.library_cache import SUFFIX, CompileError, cache_folder, load_library
 from tenscasadi.util.processes import run_program
 from tenscasadi.util.troubleshooting import add_address
@@ -298,7 +299,8 @@ def _generate_c(function: ca.Function, single: bool = False) -> str:
     options = {"verbose": False} | ({"casadi_real": "float"} if single else {})
     generator = ca.CodeGenerator(function.name() + ".c", options)
     generator.add(function)
-    return _wrap_float(function, generator.dump()) if single else generator.dump()
+    code = unroll_products(generator.dump())
+    return _wrap_float(function, code) if single else code
 
 
 def _wrap_float(function: ca.Function, source: str) -> str:

@@ -85,6 +85,22 @@ def test_same_numbers_and_names() -> None:
 
 
 @needs_compiler
+@pytest.mark.parametrize("single", [False, True])
+def test_products_with_sparse_matrices_are_exact(single: bool) -> None:
+    """Columns with 1 to 10 entries; the products are whole numbers."""
+    rng = np.random.default_rng(0)
+    sparse = np.array([rng.permutation(12) < k for k in range(1, 11)]).T * rng.integers(
+        1, 9, (12, 10)
+    )
+    x, y = ca.MX.sym("x", 7, 12), ca.MX.sym("y", ca.sparsify(ca.DM(sparse)).sparsity())
+    function = ca.Function("product", [x, y], [x @ y])
+    assert "x3[i] * y3" in compiled._generate_c(function, single)
+    dense = rng.integers(-9, 9, (7, 12))
+    product = compile_function(function, single=single)(dense, sparse)
+    assert np.array_equal(product.full(), dense @ sparse)
+
+
+@needs_compiler
 def test_compiled_once(cache: Path, count: list[str]) -> None:
     compile_function(function())
     compile_function(function())
