@@ -147,10 +147,14 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
 
     Notes
     -----
-    The C function is `decide` (time, state, before) → after, see `Mpc.function`; with rate limits
-    it has a fourth input. `before` is the result of the previous call, or `MPC_FIRST` in the first
-    one. It contains α × intervals numbers, interval by interval. Apply the first α numbers of
-    `after`. mpc.h has the sizes, the sampling period, and `MPC_FIRST`.
+    The C function is `decide` (time, state, before) → after, status, see `Mpc.function`; with rate
+    limits it has a fourth input. `before` is the result of the previous call, or `MPC_FIRST` in the
+    first one. It contains α × intervals numbers, interval by interval. Apply the first α numbers of
+    `after`, which are within the limits of the control also if status is 1. mpc.h has the sizes,
+    the sampling period, and `MPC_FIRST`.
+
+    Optimize the code for its processor, for example by ``cc -O3 -march=native``: the loops of the
+    solver are written for vector instructions.
 
     Examples
     --------
@@ -165,12 +169,13 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     instance("mpc", mpc, Mpc, "an ocp.Mpc")
     first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
     lines = [
-        "decide (time s, state, before N/m) -> after N/m: apply the first MPC_STRINGS of after "
-        "for MPC_PERIOD s, then give after as the next before.",
+        "decide (time s, state, before N/m) -> after N/m, status: apply the first MPC_STRINGS of "
+        "after for MPC_PERIOD s, then give after as the next before.",
+        "status: 0, or 1 if no solution was found, as for a state that is NAN.",
         "State: free coordinates of the nodes, node by node, then their velocities. "
         "MPC_FIRST is the first before.",
     ]
-    decide = mpc.function()
+    decide = mpc.function(mpc.quadratic_program.generated())
     if "earlier" in decide.name_in():
         lines.append(
             "earlier: state at the last decision, NAN at the first; rate limits start from it."

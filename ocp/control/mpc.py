@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from ocp.control.formulation import Formulation
 from ocp.control.holding import find_rest, force_limits
 from ocp.control.mpc_constraints import Horizon, HorizonLimits
 from ocp.control.scaled_output import build_scaled_output
-from ocp.control.variational_equation import build_slopes, build_variational
+from ocp.control.variational_equation import build_slopes, linearize_step, propagate
 from ocp.guess.inverse_dynamics import inverse_dynamics
 from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.control import build_smooth_model, check_control, controls_force_densities
@@ -27,7 +26,7 @@ from ocp.problem.scaling import Scales, scale_deviations
 from ocp.problem.start import FreeStart
 from ocp.results.result import PlanResult
 from ocp.sampling.horizon_costs import OVERSTEP
-from ocp.solvers.interior_point_qp import solve_qp
+from ocp.solvers.dual_active_set import HorizonProgram, is_finite, name_inputs
 from ocp.targets.find_target import find_target
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import RungeKutta4
@@ -88,13 +87,15 @@ class Mpc:
     -----
     The quadratic program is condensed. Its unknowns are the changes of the control, and the states
     follow by the exact derivatives of the steps, so bars, joints and momenta need no constraints.
-    CasADi's solver DAQP solves it. Rate limits, such as `RestLengthRateLimits`, also hold from the
-    last decision to the new one.
+    A dual active-set method in C solves it [2]_, or CasADi's DAQP without a C compiler. Rate limits,
+    such as `RestLengthRateLimits`, also hold from the last decision to the new one.
 
     References
     ----------
     .. [1] M. Diehl, H. G. Bock, J. P. Schlöder, A real-time iteration scheme for nonlinear
        optimization in optimal feedback control, SIAM J. Control Optim. 2005, 43, 1714.
+    .. [2] D. Goldfarb, A. Idnani, A numerically stable dual method for solving strictly convex
+       quadratic programs, Math. Program. 1983, 27, 1.
 
     Examples
     --------
@@ -152,11 +153,8 @@ class Mpc:
         )
         self._limits = HorizonLimits(problem, scales, strength, self.period)
         self._scales, self._strength = scales, strength
-        self._steps = self._build_shift(), self._build_program()
-        self._array_steps = tuple(ArrayFunction(step) for step in self._steps)
-        unknowns, rows = (self._steps[1].size1_out(name) for name in ("g", "b"))
-        self._slack = int(rows > 0)  # one unknown, by which limits of the path are overstepped
-        self._solver = _build_solver(unknowns + self._slack, rows)
+        self._shift, self._program = self._build_shift(), self._build_program()
+        self._decide = ArrayFunction(self.function(self.quadratic_program.compiled()))
         self._last: _MpcDecision
         self.reset()
 
@@ -188,9 +186,8 @@ class Mpc:
         )
         if time < self._last.time:
             self.reset()
-        gamma = self._decide(
-            self._array_steps, self._improve, np.array([time]), state, *self._last[1:]
-        )
+        inputs = [np.array([time]), state, *self._last[1:]]
+        gamma, _ = self._decide(*inputs if self._limits.from_last_decision else inputs[:3])
         self._last = _MpcDecision(time, gamma, state)
         return np.array(gamma[0])
 
@@ -211,26 +208,39 @@ class Mpc:
             [name for rows in rates for name in rows.names],
         )
 
+    @property
+    def quadratic_program(self) -> HorizonProgram:
+        """Sizes of the quadratic programs, and solvers for them."""
+        outputs, rows = self._scaled_output.size1_out(0), self._program.size1_out("b")
+        return HorizonProgram(self.intervals, self.model.nu, outputs, rows, OVERSTEP)
+
     def reset(self) -> None:
         """Discard the warm start before another run."""
         self._last = _MpcDecision(
             0.0, np.full((self.intervals, self.model.nu), np.nan), np.full(self.model.nx, np.nan)
         )
 
-    def function(self) -> ca.Function:
-        """Build the controller as one CasADi Function, for C code.
+    def function(self, solver: ca.Function | None = None) -> ca.Function:
+        """Build the controller as one CasADi Function.
 
-        The Function solves the quadratic programs by an interior-point method instead of DAQP.
+        Use `export_mpc` for C code.
+
+        Parameters
+        ----------
+        solver : casadi.Function, optional
+            Solver of `quadratic_program`. Default: CasADi's DAQP.
 
         Returns
         -------
         casadi.Function
-            Function (time, state (nx), before (nu, intervals)) → after (nu, intervals). The
+            Function (time, state (nx), before (nu, intervals)) → after (nu, intervals), status. The
             columns of ``after`` are the controls in the periods of the horizon; apply the first
             one. ``before`` is ``after`` of the previous call, or `first` in the first call. With
             rate limits, there is a fourth input ``earlier`` (nx): the state in the previous call,
-            or NaN in the first call.
+            or NaN in the first call. ``status`` is 0, or 1 if a quadratic program was not solved,
+            as for a state that is NaN; ``after`` then has its controls without improvement.
         """
+        solver = self.quadratic_program.interpreted() if solver is None else solver
         time, state, before = (
             ca.MX.sym("time"),
             ca.MX.sym("state", self.model.nx),
@@ -239,36 +249,23 @@ class Mpc:
         inputs = {"time": time, "state": state, "before": before}
         if self._limits.from_last_decision:
             inputs["earlier"] = ca.MX.sym("earlier", self.model.nx)
-        steps = [lambda *given, step=step: step.call(list(given)) for step in self._steps]
-        after = self._decide(
-            steps, self._improve_symbolically, time, state, before, inputs.get("earlier", state)
+        after, failures = self._shift(time, before), ca.MX(0)
+        for _ in range(self._iterations):
+            after, *terms = self._program(time, state, after, before, inputs.get("earlier", state))
+            change, status = solver(*terms)[:2]
+            change = ca.if_else(status, ca.DM.zeros(change.shape), change)
+            after = self._clip(after + ca.reshape(change, *after.shape))
+            failures += status
+        outputs = [after, failures > 0]
+        return ca.Function(
+            "decide", list(inputs.values()), outputs, list(inputs), ["after", "status"]
         )
-        return ca.Function("decide", list(inputs.values()), [after], list(inputs), ["after"])
 
     @property
     def first(self) -> Array:
         """Reference control, the input ``before`` of the first call of `function`."""
         held = self._reference(0.0)[1].full()
         return np.column_stack([held[:, :1], held[:, :-1]])
-
-    def _decide(
-        self,
-        steps: Any,
-        improved: Callable[..., Any],
-        time: Any,
-        state: Any,
-        before: Any,
-        earlier: Any,
-    ) -> Any:
-        """Compute the controls (nu, intervals) of the horizon; arrays are transposed.
-
-        `before` and `earlier` are the controls and the state of the previous call, or NaN.
-        """
-        shift, program = steps
-        (gamma,) = shift(time, before)
-        for _ in range(self._iterations):
-            gamma = improved(*program(time, state, gamma, before, earlier))
-        return gamma
 
     def _build_shift(self) -> ca.Function:
         """Build the Function (time, before) → controls γ shifted by a period.
@@ -307,85 +304,46 @@ class Mpc:
         )
         gamma = ca.if_else(is_finite(ends), given, held)
         begun = is_finite(earlier)
-        horizon = self._horizon(state, gamma, ca.if_else(begun, earlier, state), before[:, 0])
+        last = [
+            ca.if_else(begun, *pair) for pair in ((earlier, state), (before[:, 0], gamma[:, 0]))
+        ]
+        horizon = self._horizon(state, gamma, *last)
         reached, slopes = zip(*(self._scaled_output(x) for x in horizon.states[2:]), strict=True)
-        G = ca.vertcat(
-            *(C @ effect for C, effect in zip(slopes, horizon.state_effects[2:], strict=True))
-        )
-        g = G.T @ ca.vec(ca.horzcat(*reached) - wanted) + ca.DM(self._weights) * ca.vec(
-            gamma - held
-        )
+        blocks = [effect @ C.T for C, effect in zip(slopes, horizon.state_effects[2:], strict=True)]
         a, b = self._limits.rows(horizon, time, begun)
-        outputs = [gamma, *(ca.densify(value) for value in (G, g, a, b))]
+        now = ca.vec(gamma)
+        inputs = [
+            *blocks,
+            ca.vec(ca.horzcat(*reached) - wanted),
+            self._weights,
+            now - ca.vec(held),
+            a,
+            b,
+            self._lower - now,
+            self._upper - now,
+        ]
         return ca.Function(
             "program",
             [time, state, given, before, earlier],
-            outputs,
+            [gamma, *(ca.densify(ca.MX(value)) for value in inputs)],
             ["t", "x", "given", "before", "earlier"],
-            ["u", "G", "g", "a", "b"],
+            ["u", *name_inputs(count)],
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
         """Predict states and sensitivities under the controls γ (nu, intervals)."""
-        (nx, nu), count = (self.model.nx, self.model.nu), self.intervals
-        slopes, h = build_slopes(self._predicted), self.period / self._substeps
-        x, effect = state, ca.DM(nx, 0)  # by the γ of intervals so far
-        states, effects = [earlier, state], [ca.DM(nx, count * nu)] * 2
-        for k in range(count):
-            effect = ca.horzcat(effect, ca.DM(nx, nu))
-            step = RungeKutta4().step(build_variational(slopes, effect.shape[1]))
+        nu, slopes = self.model.nu, build_slopes(self._predicted)
+        none = ca.DM(0, self.model.nx)
+        x, states, effects = state, [earlier, state], [none, none]
+        for k in range(self.intervals):
+            old, new = effects[-1], ca.DM(nu, self.model.nx)
             for _ in range(self._substeps):
-                z = step(ca.vertcat(x, ca.vec(effect)), gamma[:, k], h)
-                x, effect = z[:nx], ca.reshape(z[nx:], *effect.shape)
+                x, stages = linearize_step(slopes, x, gamma[:, k], self.period / self._substeps)
+                old, new = propagate(old, stages, False), propagate(new, stages, True)
             states.append(x)
-            effects.append(ca.horzcat(effect, ca.DM(nx, (count - k - 1) * nu)))
-        own = ca.sparsify(ca.DM.eye(count * nu))
-        return Horizon(
-            states,
-            effects,
-            [last, *ca.horzsplit(gamma)],
-            [ca.DM(nu, count * nu), *ca.vertsplit(own, nu)],
-        )
-
-    def _improve(self, gamma: Array, G: Array, g: Array, a: Array, b: Array) -> Array:
-        """Update the controls (intervals, nu) by DAQP, unless it fails."""
-        slack = self._slack
-        H, now = G @ G.T, gamma.ravel()
-        H[np.diag_indices(len(H))] += self._weights
-        if slack:
-            H = np.pad(H, (0, 1))
-            H[-1, -1] = OVERSTEP
-            a = np.vstack([a, -np.ones(a.shape[1])])
-        low, high = (
-            np.append(self._lower - now, np.zeros(slack)),
-            np.append(self._upper - now, np.full(slack, np.inf)),
-        )
-        change = self._solver(
-            H, np.append(g, np.full(slack, OVERSTEP)), a, np.full(b.size, -np.inf), b, low, high
-        )[0].ravel()[: now.size]
-        if not self._solver.stats()["success"] or not np.all(np.isfinite(change)):
-            return gamma
-        return np.clip(now + change, self._lower, self._upper).reshape(gamma.shape)
-
-    def _improve_symbolically(self, gamma: Any, G: Any, g: Any, a: Any, b: Any) -> Any:
-        """Build the updated controls γ + ΔU (nu, intervals) for C code."""
-        size, now = g.shape[0], ca.vec(gamma)
-        H, own = G.T @ G + ca.diag(ca.DM(self._weights)), ca.DM.eye(size)
-        least, most = (
-            np.flatnonzero(np.isfinite(limit)).tolist() for limit in (self._lower, self._upper)
-        )
-        A, room = (
-            ca.vertcat(-own[least, :], own[most, :]),
-            ca.vertcat(now[least, :] - self._lower[least], self._upper[most] - now[most, :]),
-        )
-        if self._slack:
-            A = ca.vertcat(ca.horzcat(a, -ca.DM.ones(a.shape[0], 1)), ca.diagcat(A, ca.DM(-1)))
-            room, H, g = ca.vertcat(b, room, 0.0), ca.diagcat(H, OVERSTEP), ca.vertcat(g, OVERSTEP)
-        change = solve_qp(H, g, A, room, ca.DM.zeros(g.shape))[:size]
-        return self._clip(
-            gamma
-            + ca.reshape(ca.if_else(is_finite(change), change, ca.DM.zeros(size)), *gamma.shape)
-        )
+            effects.append(ca.vertcat(old, new))
+        own = [ca.vertcat(ca.DM(k * nu, nu), ca.DM.eye(nu)) for k in range(self.intervals)]
+        return Horizon(states, effects, [last, *ca.horzsplit(gamma)], [ca.DM(0, nu), *own])
 
 
 class _MpcDecision(NamedTuple):
@@ -404,15 +362,6 @@ def _check_plan(plan: PlanResult | None, model: Model) -> None:
         raise ValueError(
             "plan is of another structure than the problem: give one whose model has the same nodes and strings"
         )
-
-
-def _build_solver(unknowns: int, rows: int) -> ArrayFunction:
-    """Build the solver of dense quadratic programs of a size."""
-    shapes = {
-        "h": ca.Sparsity.dense(unknowns, unknowns),
-        "a": ca.Sparsity.dense(rows, unknowns),
-    }
-    return ArrayFunction(ca.conic("qp", "daqp", shapes, {"error_on_fail": False}))
 
 
 def _build_reference(
@@ -499,8 +448,3 @@ def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
     return left + (time - start[k]) / (start[k + 1] - start[k]) * (
         ca.MX(ca.DM(values.T))[:, k + 1] - left
     )
-
-
-def is_finite(values: Any) -> Any:
-    """Return whether all values are finite."""
-    return ca.mmin(ca.fabs(values) < 1e30)

@@ -19,7 +19,8 @@ NO_LIMIT = 1 / TOLERANCE  # scaled distance that stands for no limit
 class Horizon(NamedTuple):
     """Predicted states on a horizon of K intervals, with sensitivities.
 
-    Sensitivities are derivatives with respect to the changes ΔU (K nu) of all controls.
+    Sensitivities are derivatives with respect to the changes ΔU of all controls so far. They are
+    transposed.
 
     Attributes
     ----------
@@ -72,32 +73,32 @@ class HorizonLimits:
         return bool(self._rates)
 
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
-        """Build a (m, K nu) and b (m,) of the constraints a ΔU ≤ b.
+        """Build aᵀ (K nu, m) and b (m,) of the constraints a ΔU ≤ b.
 
         `begun` is whether there was a previous sampling period.
         """
-        a, b = [ca.DM(0, horizon.control_effects[0].shape[1])], [ca.DM(0, 1)]
+        count = horizon.control_effects[-1].shape[0]
+        a, b = [ca.DM(count, 0)], [ca.DM(0, 1)]
         x, dx, u, du = horizon
         for limit, last in self._instants:
             for k in range(horizon.intervals - 1 if last else 0, horizon.intervals):
                 room, by_state, by_control, _ = limit(
                     x[k + 2], u[k + 1], time + (k + 1) * self._period
                 )
-                a.append(by_state @ dx[k + 2] + by_control @ du[k + 1])
+                a.append(_combine(count, (by_state, by_control), (dx[k + 2], du[k + 1])))
                 b.append(room)
         for limit in self._rates:
             for k in range(horizon.intervals):
                 room, *slopes, _ = limit(x[k], u[k], x[k + 1], u[k + 1], self._period)
-                a.append(
-                    sum(
-                        J @ effect
-                        for J, effect in zip(
-                            slopes, (dx[k], du[k], dx[k + 1], du[k + 1]), strict=True
-                        )
-                    )
-                )
+                a.append(_combine(count, slopes, (dx[k], du[k], dx[k + 1], du[k + 1])))
                 b.append(room if k else ca.if_else(begun, room, NO_LIMIT))
-        return ca.vertcat(*a), ca.vertcat(*b)
+        return ca.horzcat(*a), ca.vertcat(*b)
+
+
+def _combine(count: int, slopes: Any, effects: Any) -> Any:
+    """Compute Σ effect Jᵀ (count, m) for effects of the first controls or of all."""
+    parts = [effect @ J.T for J, effect in zip(slopes, effects, strict=True)]
+    return sum(ca.vertcat(part, ca.DM(count - part.shape[0], part.shape[1])) for part in parts)
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:

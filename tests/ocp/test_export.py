@@ -125,7 +125,7 @@ def test_an_exported_program_has_the_values_of_the_virtual_machine(case, tmp_pat
 
 
 def reader(path, sizes):
-    """The function `decide` of a library, called as a C program calls it."""
+    """The function `decide` of a library, called as a C program calls it, with its status."""
     library = ctypes.CDLL(str(path))
     doubles = ctypes.POINTER(ctypes.c_double)
     work = [ctypes.c_longlong() for _ in range(4)]
@@ -135,13 +135,13 @@ def reader(path, sizes):
 
     def decide(*inputs):
         given = [np.ascontiguousarray(value, dtype=float).ravel() for value in inputs]
-        after = np.zeros(sizes)
+        after, status = np.zeros(sizes), np.full(1, np.nan)
         arg, res = (doubles * (n_arg + 1))(), (doubles * (n_res + 1))()
         for k, value in enumerate(given):
             arg[k] = value.ctypes.data_as(doubles)
-        res[0] = after.ctypes.data_as(doubles)
+        res[0], res[1] = (value.ctypes.data_as(doubles) for value in (after, status))
         assert library.decide(arg, res, iw, w, 0) == 0
-        return after
+        return after, status[0]
 
     return decide
 
@@ -185,7 +185,8 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
         if k == 5:  # a push
             state[MODEL.nq : MODEL.nq + 2] += [0.3, -0.2]
         ours = mpc.control(k * mpc.period, state)
-        before = decide(k * mpc.period, state, before, *earlier)
+        before, status = decide(k * mpc.period, state, before, *earlier)
+        assert status == 0
         assert before[: MODEL.nu] == pytest.approx(ours, abs=1e-5 * 50.0)
         earlier = [state] * len(earlier)
         state = (
@@ -199,12 +200,25 @@ def test_an_exported_controller_decides_as_the_controller(case, tmp_path):
     assert np.ptp(decided, axis=0).max() > 1.0  # there was something to decide
 
 
+def test_an_exported_controller_reports_failures_and_obeys_limits(tmp_path):
+    """A state that is NaN is a status; limits of the path that no control keeps are violated little."""
+    mpc = ocp.Mpc(
+        problem(bounds=[ocp.ForceDensityLimits(1.0, 50.0), ocp.TensionLimits(0.5, 0.6)]), 0.1, 4
+    )
+    ocp.export_mpc(mpc, tmp_path)
+    decide = reader(built(tmp_path, "mpc"), 4 * MODEL.nu)
+    for state, expected in ((MODEL.initial_state, 0), (MODEL.initial_state * np.nan, 1)):
+        after, status = decide(0.0, state, mpc.first.T)
+        assert status == expected
+        assert np.all((after >= 1.0) & (after <= 50.0))
+
+
 def test_the_first_decision_is_that_of_the_reference():
     mpc = CONTROLLERS["along a plan"]()
-    decide, state = mpc.function(), MODEL.initial_state
-    assert decide(0.0, state, mpc.first).full()[:, 0] == pytest.approx(
-        mpc.control(0.0, state), abs=1e-6
-    )
+    state = MODEL.initial_state
+    after, status = mpc.function()(0.0, state, mpc.first)
+    assert after.full()[:, 0] == pytest.approx(mpc.control(0.0, state), abs=1e-6)
+    assert status == 0
 
 
 def test_an_accuracy_is_said_to_be_no_part_of_a_program(tmp_path):

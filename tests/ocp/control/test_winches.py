@@ -112,7 +112,7 @@ def test_exported_decisions_are_those_of_the_controller(name):
     state = controller.model.initial_state
     decide = controller.function()
     more = [np.full(len(state), np.nan)] * (decide.n_in() - 3)
-    exported = decide(0.0, state, controller.first, *more).full()[:, 0]
+    exported = decide(0.0, state, controller.first, *more)[0].full()[:, 0]
     assert exported == pytest.approx(controller.control(0.0, state), abs=1e-5)
 
 
