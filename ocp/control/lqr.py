@@ -325,7 +325,10 @@ def _read_limits(
 def _rest(
     plan: PlanResult, model: Model, limits: tuple[Array, Array], slow: float, margin: float
 ) -> Rest:
-    """Find the control that keeps the plan's final state at rest."""
+    """Find the control that keeps the plan's final state at rest.
+
+    `limits` (2, nu) are those of the control. `slow` [m/s] and `margin` are those of `find_rest`.
+    """
     end = plan.trajectory.states[-1]
     if model.scene.commands_forces:
         return find_rest(model, end, *limits, slow, margin)
@@ -385,9 +388,11 @@ def _regulate(
     kept: ca.Function,
     effort: float,
 ) -> Array:
-    """Compute the feedback gains (K, nu, nx) along the planned states.
+    """Compute the LQR gains (K, nu, nx) along the planned states.
 
-    If there is an equilibrium at the end, the gain of its stationary LQR is appended.
+    The controls are `gamma` (K, nu), constant in each `period` [s]. `kept` is the scaled output of
+    `build_scaled_output`, and `effort` the weight of the control. If there is an equilibrium at the
+    end (`rest`), the gain of its stationary LQR is appended.
     """
     ends = states
     if rest.state is not None:

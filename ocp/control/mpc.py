@@ -347,7 +347,7 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Time, controls and state of the previous call; NaN before."""
+    """Time, controls and state of the previous call, at first NaN."""
 
     time: float
     force_density: Array

@@ -102,7 +102,7 @@ def _combine(count: int, slopes: Any, effects: Any) -> Any:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """Build distances to finite limits, and their negative Jacobians."""
+    """Build the distances from all finite limits, and their negative Jacobians."""
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (

@@ -275,7 +275,7 @@ class Mppi:
         )
 
     def _evaluate(self, time: float, state: Array, tried: Array) -> Array:
-        """Simulate control sequences and compute their costs.
+        """Simulate control sequences (samples, K, nu) and compute their costs.
 
         Costs are inf or NaN after divergence.
         """

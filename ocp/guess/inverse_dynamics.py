@@ -150,7 +150,10 @@ def balance(problem: Problem, state: Array) -> Array:
 
 
 def _interpolate(first: Array, last: Array, count: int) -> Array:
-    """Interpolate force densities linearly at the middle of intervals."""
+    """Interpolate between two force densities at the middle of intervals.
+
+    The result (count, α) is linear from the first to the last (α,).
+    """
     s = (np.arange(count)[:, None] + 0.5) / count
     return np.asarray((1 - s) * first + s * last)
 

@@ -98,9 +98,10 @@ class _Quintic(NamedTuple):
     arrive: Array
 
     def between(self, first: Array, last: Array, leaving: Array, arriving: Array) -> Array:
-        """Interpolate values with given derivatives at both ends.
+        """Interpolate between two values with given derivatives at both ends.
 
-        The result has one row for each time. Second derivatives are zero at both ends.
+        `leaving` and `arriving` are the derivatives with respect to the fraction of time. Second
+        derivatives are zero at both ends. The result has one row for each time.
         """
         shape = (-1, *(1 for _ in np.shape(first)))
         change, leave, arrive = (part.reshape(shape) for part in self)
@@ -156,7 +157,8 @@ def _turn_nodes(
 ) -> Iterator[Array]:
     """Yield paths with large rotations of the structure or bars.
 
-    Each path has the nodes (K + 1, n, 3) [m] at equal time intervals.
+    They lead from the state `start` (nx,) to `end` (nx,) in `duration` s. Each path has the nodes
+    (K + 1, n, 3) [m] at equal time intervals.
     """
     (first, v0), (last, v1) = (
         (model.nodes(state), duration * model.velocities(state)) for state in (start, end)

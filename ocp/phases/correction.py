@@ -87,10 +87,11 @@ def correct(
 def _measure_replay(
     replay: Replay, time: Array, states: Array, gamma: Array, targets: Sequence[Target]
 ) -> tuple[float, Array]:
-    """Compute the goal residuals of a replay.
+    """Replay a plan, and compute the goal residuals at the phase ends.
 
-    Returns the largest residual [m], and all residuals at the ends of the phases. Velocities count
-    as velocity × duration. The largest residual is inf if the replay diverges or cannot be tracked.
+    The plan has mesh times (K + 1,) [s], states (K + 1, nx) and force densities `gamma` (K, α).
+    Returns the largest residual [m], and the residuals of all goals. Velocities count as velocity ×
+    duration. The largest residual is inf if the replay diverges or cannot be tracked.
     """
     count = len(gamma) // len(targets)
     found = replay(time, states, gamma)

@@ -120,7 +120,10 @@ def _build_replay(
 
 
 def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
-    """Compute the goal residuals of replays."""
+    """Compute the goal residuals of n replays.
+
+    Their states (n, T, nx) are given at times (T,) [s].
+    """
     target = None
     if plan.problem is not None:
         found = find_target(plan.problem, Scales.of(plan.problem))

@@ -300,7 +300,10 @@ def _limits_of_instants(
 def _limits_of_rates(
     problem: Problem, time: Array, states: Array, force_density: Array
 ) -> list[_LimitedValues]:
-    """Evaluate the limited rates between successive control values."""
+    """Evaluate limited rates between successive control values.
+
+    These are those of force densities and rest lengths, at times (K + 1,) with states (K + 1, nx).
+    """
     x, u, t = states[: len(force_density)].T, force_density.T, time[: len(force_density)]
     if len(t) < 2:
         return []

@@ -68,10 +68,11 @@ def measure_terminal_limits(
 def _measure(
     limited: PathConstraint, ends: Array, controls: Array, duration: float, scale: Array
 ) -> tuple[Array, Array]:
-    """Compute the violations (m,) and largest gradient norms (m,).
+    """Evaluate the violations (m,) and largest gradient norms (m,).
 
-    Violations are those of the last of the ends, and inf if undefined. Gradient norms are the
-    maxima over all ends.
+    Terminal limits are evaluated at states `ends` (k, nx) with controls (k, nu) at the time
+    `duration`. Violations are those of the last state, inf if undefined. Gradients with respect to
+    the state are multiplied by `scale` (nx,), and their norms are the maxima over all states.
     """
     value = ca.densify(limited.value)
     function = ca.Function(

@@ -212,7 +212,11 @@ class BatchSimulation:
     def excess(
         self, states: Array, controls: Array, duration: float, last_only: bool = False
     ) -> Array:
-        """Compute the scaled violations (n, m) of limits."""
+        """Compute the scaled violations (n, m) of limits.
+
+        The n trajectories have states (n, K + 1, nx) and controls (n, K, nu). With `last_only`,
+        only terminal limits count.
+        """
         n, count, nu = controls.shape
         ends, found = duration * np.append(0.0, np.cumsum(self.fractions)), [np.zeros((n, 0))]
         places = {

@@ -88,7 +88,11 @@ def build_horizon_costs(
 def build_running_cost(
     problem: Problem, scales: Scales, length: float, strength: float, weight: float = 1.0
 ) -> ca.Function:
-    """Build the running cost per second, with penalties for limits."""
+    """Build the running cost per second, with penalties for limits.
+
+    `weight` multiplies the costs, not the penalties. `length` [s] is the duration over which a
+    penalty is averaged, and `strength` a typical force density [N/m].
+    """
     now, given = _instant(problem)
     running = cost_terms(problem.costs).express(problem.model).running
     stage = weight * sum((rate(now) for rate in running), ca.DM(0))

@@ -182,7 +182,10 @@ class _Method:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Improve force densities by Gauss-Newton with finer and finer steps."""
+        """Improve force densities by Gauss-Newton with finer and finer steps.
+
+        They are `wanted` (K, α), which change along `directions` (g, α) [N/m].
+        """
         misses = []
         # the first round admits ten times the final speeds
         for finer, speed in ((1, 10.0), (self._finer, 1.0), (2 * self._finer, 1.0)):

@@ -147,9 +147,11 @@ class Search:
     def _improve(
         self, lineages: list[Lineage], first: int, basis: Array, scale: float
     ) -> list[Lineage]:
-        """Return the best of samples about each lineage, itself included.
+        """Try random changes of the leg of each trajectory.
 
-        The lineages have the same duration [s].
+        Returns the best change of each, or the trajectory itself if none is better. All have the
+        same duration [s]. The leg begins at the interval `first`. `basis` maps spline knots to
+        intervals, and `scale` multiplies the changes.
         """
         motions, duration, size = self._motions, lineages[0].duration, self._samples
         sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(size)[:, None, None]

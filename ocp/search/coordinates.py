@@ -111,10 +111,10 @@ def _in_reduced(model: Model) -> Model:
 
 
 class _Seen(Instant):
-    """Instant of a model in reduced coordinates, seen in full ones.
+    """Instant of a model in reduced coordinates, with full coordinates as state.
 
-    User-defined expressions receive it. The state has full coordinates. Tensions and bar forces are
-    those of the model in reduced coordinates.
+    User-defined expressions receive it. Tensions and bar forces are those of the model in reduced
+    coordinates.
     """
 
     def __init__(self, model: Model, now: Instant) -> None:

@@ -235,7 +235,7 @@ def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | Non
 
 
 def _for_sampling(problem: Problem) -> Transcription:
-    """Choose the mesh intervals of a plan by random sampling."""
+    """Choose the mesh of a plan that random sampling finds."""
     return MultipleShooting(default_intervals(problem))
 
 

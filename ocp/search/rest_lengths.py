@@ -223,7 +223,10 @@ class _Converter:
         self.state_at = build_interpolant(self.model, found.states, found.duration, fractions)
 
     def nodes(self, parts: int) -> Array:
-        """Divide all mesh intervals into equal parts, from 0 to 1."""
+        """Divide each mesh interval into equal parts.
+
+        Returns the ends of all parts as fractions of the duration, from 0 to 1.
+        """
         return np.append(0.0, np.cumsum(np.repeat(self.intervals / parts, parts)))
 
     def evaluate(self, shares: Array) -> tuple[Array, Array, Array]:

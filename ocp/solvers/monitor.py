@@ -105,7 +105,7 @@ class Monitor:
 
     @property
     def iterate(self) -> tuple[int, Array] | None:
-        """Best iterate of the work in a thread, after its iteration number."""
+        """Iteration number and best iterate of a function in a thread."""
         return None if self._worker is None else self._worker.iterate
 
     def status(self) -> str:
@@ -123,8 +123,8 @@ class Monitor:
         """Run a function in a thread, and abandon it if it is late.
 
         `work` is the function; `otherwise` builds the result after it was abandoned, from
-        `iterate`. A function may return late by the fraction `share` of the permitted delay.
-        Callbacks of the user run in the calling thread.
+        `iterate`. The function is late if it has not returned after the time limit and the fraction
+        `share` of the permitted delay. Callbacks of the user run in the calling thread.
         """
 
         def is_late() -> bool:

@@ -17,7 +17,7 @@ from tenscasadi.util.validate import Array, Indices, instance
 class Duals(Stored):
     """Lagrange multipliers of an optimum.
 
-    A dual is positive if an upper limit is active, and negative if a lower limit is. If a limit or
+    A dual is positive if an upper limit is active, and negative if a lower limit is active. If a limit or
     the value of a goal rises by δ, the optimal objective J changes by −λ δ to first order.
 
     Attributes
@@ -77,7 +77,11 @@ class Duals(Stored):
 
 
 def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
-    """Convert scaled duals to physical units, with names."""
+    """Convert scaled duals to physical units, with names.
+
+    `w` is the scaled solution; `rows` are the duals of the constraints, and `limits` those of the
+    bounds on variables.
+    """
     names, values = [], []
     for part in _find_parts(program, target):
         reduction = part.target.reduction

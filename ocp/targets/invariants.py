@@ -121,7 +121,8 @@ def rigid_rows(model: Model, x: Any) -> list[Rows]:
 def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
     """Build constraints that keep a flat structure in its plane.
 
-    They apply if all forces act along members or gravity. A straight structure is kept on its line.
+    Nodes and velocities N, V (3×n) stay in the plane of the initial ones N0, V0. The constraints
+    apply if all forces act along members or gravity. A straight structure is kept on its line.
     """
     size = np.ptp(N0, axis=1).max(initial=1e-300)
     speeds = np.column_stack([V0, gravity])

@@ -203,14 +203,18 @@ class DiscreteEquations:
         )
 
     def _force(self, x: Any, internal: Any, gamma: Any, pushes: Any) -> Any:
-        """Compute the total forces on the free coordinates."""
+        """Compute the total forces on the free coordinates.
+
+        They depend on the state, internal states, force densities `gamma`, and the constraint
+        forces and reactions `pushes`.
+        """
         N, V, clock = self.model.unpack(x)
         inputs = ca.vertcat(gamma, internal) if self.model.na else gamma
         total = forces.total(self.model.scene, self.model.mechanism, N, V, inputs, clock)
         return self.model.mechanism.generalized_forces(total) + self._push(x, pushes)
 
     def _push(self, x: Any, pushes: Any) -> Any:
-        """Compute constraint forces and ground reactions.
+        """Compute constraint forces and ground reactions from their variables.
 
         They are generalized forces on the free coordinates.
         """

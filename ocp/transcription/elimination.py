@@ -90,7 +90,11 @@ class _DefectBlock(NamedTuple):
 
 
 def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
-    """Find the finest block triangular form of a sparse matrix."""
+    """Find the finest block triangular form of a sparse matrix.
+
+    The matrix (size, size) has nonzeros at the given rows and columns. Returns the number of the
+    block of each row and of each column.
+    """
     pattern = ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
     _, row_order, column_order, ends, column_ends, *_ = pattern.btf()
     if list(ends) != list(column_ends) or ends[-1] != size:
@@ -106,6 +110,7 @@ def _order_blocks(
 ) -> list[_DefectBlock]:
     """Order diagonal blocks by dependence, then by sparsity.
 
+    Nonzeros are at the given rows and columns; `of_row` and `of_column` are the blocks of these.
     Blocks of one level do not depend on each other. Those of equal sparsity become neighbors, which
     one batched product solves.
     """
@@ -142,7 +147,12 @@ def _group_alike(
     constant: Booleans,
     sample: Array,
 ) -> list[_Group]:
-    """Group the diagonal blocks of equal sparsity."""
+    """Group the diagonal blocks of equal sparsity.
+
+    `starts` are the first rows of the blocks and the end, `own` is the block of each row. The
+    nonzeros `entries` are at the given rows and columns. `constant` marks constant ones, and
+    `sample` are values.
+    """
     order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
     alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
     cuts = np.searchsorted(own[row[order]], np.arange(len(starts)))

@@ -237,7 +237,8 @@ class _Steps:
     ) -> Any:
         """Compute the state at a fraction `place` of a step.
 
-        The accelerations of the stages have the given weights.
+        The accelerations and internal rates of the stages are `rates`. Their weights are pairs, for
+        positions and for velocities. The step has the length h [s] and the initial state x.
         """
         q, speed, own, clock = self.model.split(x)
         q, clock = q + place * h * speed, clock + place * h

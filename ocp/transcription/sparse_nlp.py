@@ -370,7 +370,7 @@ class _SparseMatrix:
         first_row: int = 0,
         transposed: bool = False,
     ) -> None:
-        """Add the Jacobian of all instances of a block."""
+        """Add the Jacobian of all instances of a block at z, times a factor."""
         values, local_row, local_column, varying = self._derivative(block, z)
         if not len(local_row):
             return

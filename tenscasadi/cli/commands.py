@@ -45,7 +45,7 @@ def simulate_scene(
 ) -> int:
     """Simulate a scene from its start.
 
-    Ctrl-C ends the run and keeps the rows that there are.
+    Ctrl-C ends the run and keeps the rows so far.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def compare_schemes(
 
     Each scheme runs with each step or --rtol, with and without Projection. The reference is one
     that two schemes agree on. Times exclude the compilation, which is reported separately. Ctrl-C
-    ends the study and keeps the rows that there are.
+    ends the study and keeps the rows so far.
 
     Parameters
     ----------

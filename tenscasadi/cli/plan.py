@@ -93,7 +93,7 @@ def control_motion(
 
     The controller pursues the goals of [plan]: model predictive control, sampled motions (MPPI), or
     feedback along a plan, which is solved first. The simulated scene may have other parameters than
-    the controller's model. Ctrl-C ends the run and keeps the rows that there are.
+    the controller's model. Ctrl-C ends the run and keeps the rows so far.
 
     Parameters
     ----------

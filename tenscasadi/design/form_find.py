@@ -252,7 +252,9 @@ def _assess(
 ) -> Form:
     """Assess a form by unbalanced forces, tensions and goals.
 
-    Force densities within rounding of their typical size, `scale` [N/m], count as zero.
+    The form has nodes (n, 3), force densities q (α + β,) and the relative residuals of goals by
+    name, `misses`. Force densities within rounding of their typical size, `scale` [N/m], count as
+    zero.
     """
     q = np.where(np.abs(q).max(initial=0.0) > ROUNDING * scale, q, 0.0)
     strings = len(structure.strings)
@@ -298,9 +300,10 @@ def _find_fault(
     unbalanced: float,
     misses: Mapping[str, float],
 ) -> str:
-    """Explain why a form is invalid.
+    """Explain why a form is invalid; return "" if it is valid.
 
-    Returns "" if it is valid.
+    `forces` (α + β,) are those of members [N], `unbalanced` is the largest unbalanced force [N],
+    and `misses` are the relative residuals of goals by name.
     """
     strings = len(structure.strings)
     largest = float(np.abs(forces).max(initial=0.0))

@@ -61,9 +61,9 @@ class Goals(NamedTuple):
     loads: Array
 
     def hold(self, structure: Structure) -> bool:
-        """Return whether supports or loads determine the nodes.
+        """Return whether nodes are unique for given force densities.
 
-        This is for given force densities.
+        They are if supports or loads determine them.
         """
         return bool(structure.held.any() or self.loads.any())
 
@@ -115,7 +115,10 @@ class FormProgram:
         self._lower[y.numel() : y.numel() + p.numel()] = densities.lower
 
     def _goal_rows(self, goals: Goals, N: Any, squared: Any, q: Any) -> tuple[Any, list[str]]:
-        """Build the residuals of the goals, and their names."""
+        """Build the residuals of the goals, and their names.
+
+        Nodes N (3×n), squared member lengths and force densities q are in scaled units.
+        """
         rows, names = [], []
         for string, length in goals.lengths.items():
             target = length / self.length

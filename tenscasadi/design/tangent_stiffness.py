@@ -141,7 +141,8 @@ class TangentStiffness:
     ) -> tuple[Array, Array]:
         """Compute the softest modes that preserve the lengths of rigid bars.
 
-        Returns the smallest eigenvalues of K [N/m], and their modes.
+        Returns the `count` smallest eigenvalues of K(q) [N/m], and their modes; all by default. For
+        `stiffness` see `at`.
         """
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 

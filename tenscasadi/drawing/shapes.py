@@ -165,10 +165,10 @@ def _fill(color: Rgb, count: int) -> Bytes:
 
 
 def choose_tint(content: ViewContent, index: int) -> Rgb | None:
-    """Choose the color of a trajectory.
+    """Choose one color for a trajectory of a picture.
 
-    Returns None if it is opaque and colored by its forces. The first trajectory is, unless it
-    consists of copies.
+    Returns None for a trajectory whose members are colored by their forces. This is the first one,
+    unless it consists of copies.
     """
     opaque = content.motions[0].copies == 1
     if index == 0 and opaque:

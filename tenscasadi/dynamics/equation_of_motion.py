@@ -62,8 +62,9 @@ def _assemble(
 ) -> tuple[Any, ...]:
     """Compute forces F, bar vectors B, and the multipliers' linear system.
 
-    The bar residuals r are those without constraint forces. The system is absent if it has no
-    unknowns.
+    Nodes N and velocities V are 3×n; for `mode` see `forward_dynamics`. Returns F, B, the residuals
+    r (1×β) of ḃᵀḃ + bᵀb̈ = 0 without constraint forces, and matrix and right-hand side of the
+    system, if it has unknowns.
     """
     F, moved = compute_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
@@ -79,7 +80,10 @@ def _assemble(
 def _recover(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, r: Any, solution: Any, time: Any
 ) -> tuple[Any, ...]:
-    """Compute N̈, λ and Ω from the solution of the linear system."""
+    """Compute N̈, λ and Ω from the solution of the linear system.
+
+    F, B and r are the results of `_assemble`.
+    """
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
 

@@ -55,7 +55,7 @@ def build_elements(scene: Scene, mech: Mechanism, w: Any, mode: Any = None) -> l
     Returns
     -------
     list of ForceElement
-        Those that the scene has.
+        Force elements of the scene's features.
     """
     scene, u, internal = bind(scene, w)
     found: list[ForceElement] = []

@@ -38,8 +38,8 @@ def transitions(
 ) -> tuple[Array, Array]:
     """Compute state-transition and input matrices of K time spans.
 
-    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), from `substeps` linear steps each. The
-    control is constant in a span.
+    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), each from `substeps` linear steps. The
+    arguments of these steps are those of `linear_steps`. The control is constant in a span.
     """
     nx = model.nx
     steps = np.array(
@@ -72,7 +72,11 @@ def riccati_gains(
 
 
 def _middles(model: Model, starts: Array, ends: Array, lengths: Array) -> Array:
-    """Compute the midpoint states (K, nx) by cubic interpolation."""
+    """Compute the states (K, nx) at the middle of intervals.
+
+    The interpolation is cubic between the states `starts` and `ends` (K, nx), `lengths` (K,) s
+    apart.
+    """
     result = (starts + ends) / 2
     q, v, *_ = model.split(result)
     (q0, v0, *_), (q1, v1, *_) = model.split(starts), model.split(ends)

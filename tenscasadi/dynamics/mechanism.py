@@ -326,7 +326,11 @@ class Mechanism(ReadOnlyArrays):
 
 
 def free_mass_matrix(M: Any, turn: Any, index: Indices) -> sp.csr_array:
-    """Compute the mass matrix of the free local coordinates."""
+    """Compute the mass matrix of the free local coordinates.
+
+    They are the entries `index` of node coordinates, after the rotation `turn` (None for none). M
+    (n×n) is the mass matrix of the nodes.
+    """
     wide = sp.csr_array(sp.kron(M, sp.eye_array(3)))
     return sp.csr_array(wide if turn is None else turn.T @ wide @ turn)[index][:, index]
 

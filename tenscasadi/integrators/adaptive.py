@@ -240,7 +240,10 @@ def _decide(
 ) -> tuple[Any, Any]:
     """Accept or reject a trial step, and choose the next length.
 
-    Steps from an `overloaded` start are repeated from the start with broken strings.
+    The trial step has the length `trial` [s] and the scaled error norm `error` of a method of this
+    order. Steps are at most `longest` s. Steps from an `overloaded` start are repeated from the
+    start with broken strings. Returns whether the step is repeated, and the new state of the
+    step-size control.
     """
     # Step-size factor of Hairer, Nørsett, Wanner I, (II.4.13).
     growth = ca.fmin(8.0, ca.fmax(0.2, 0.9 * ca.fmax(error, 1e-300) ** (-1 / order)))

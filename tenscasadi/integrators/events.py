@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def build_switching(model: Model) -> ca.Function | None:
-    """Build the switching functions, which are positive in mode 1.
+    """Build switching functions, positive for taut strings and closed contacts.
 
     Function (x, u) → g (k,) [m]. Strings come first, then contacts. None if the scene has no such
     events.

@@ -187,7 +187,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return project_velocities(mech, N, V, model.targets(time)[1])
 
     def turn(N: Any, V: Any, own: Any, time: Any) -> Any:
-        """Advance internal states by half a step at fixed nodes."""
+        """Advance the internal states `own` (na) by half a step at fixed nodes."""
         slopes: list[Any] = []
         for row in kick.a if model.na else ():
             stage = own + h / 2 * _sum_slopes(row, slopes) if any(row) else own
@@ -230,7 +230,8 @@ def _sum_slopes(weights: tuple[float, ...], slopes: list[Any]) -> Any:
 def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
     """Find positions that satisfy bar and joint constraints.
 
-    Displacements along the bars of N correct the `free` positions.
+    Displacements along the bars of N correct the `free` positions (3×n). D (3×c) are the prescribed
+    positions of joints N P = D.
     """
     if not mech.constrained:
         return free
@@ -247,8 +248,10 @@ def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> A
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
     """Find positions that satisfy coupled constraints, by Newton's method.
 
-    Where bars align, the impulses become dependent and the iteration would diverge. The best
-    iterate is used; impulses along the current bars remove the remaining residual.
+    It starts at the `free` positions (3×n), with impulses along the bar vectors B. D (3×c) are the
+    prescribed positions of joints N P = D. Where bars align, the impulses become dependent and the
+    iteration would diverge. The best iterate is used; impulses along the current bars remove the
+    remaining residual.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:

@@ -114,8 +114,8 @@ def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
     """Build one sweep of the triangular iteration over all stages.
 
-    Returns the time derivatives of velocities and internal states, the change by this sweep, and
-    the smallest change of any sweep.
+    The time derivatives k (nq + na, s) of velocities and internal states are those of the last
+    sweep, and `changes` its change and the smallest one so far. Returns the new k and changes.
     """
     L = factor_crout(A)
     squared = L @ L

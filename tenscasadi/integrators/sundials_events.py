@@ -157,8 +157,9 @@ class EventSteps:
     def _look(self, z: Array, rows: Array, u: Array, mode: Array, h: float) -> tuple[Array, Array]:
         """Detect mode changes in each part of an interval.
 
-        Returns the fractions of each part at which the mode differs (4, parts), see `_build_look`,
-        and whether the interpolation resolves the part (parts,).
+        The interval has the length h [s], the initial z, and the states `rows` at equal times, two
+        for each part. Returns the fractions of each part at which the mode differs (4, parts), see
+        `_build_look`, and whether the interpolation resolves the part (parts,).
         """
         ends, parts = np.vstack([z, rows])[:, : self._nx].T, len(rows) // 2
         held = [np.tile(value[:, None], parts) for value in (u, np.array([h / parts]), mode)]

@@ -175,9 +175,10 @@ class CableRows:
 def _tension_ratios(
     friction: float, lengths: Any, speeds: Any, directions: Any, driven: bool
 ) -> Any:
-    """Compute tension ratios (1×q) along a cable of q strings.
+    """Compute tensions (1×q) along a cable relative to that without friction.
 
-    Lengths (1×q) [m], their rates (1×q) [m/s] and unit vectors along the strings (3×q) are given.
+    The q strings have lengths (1×q) [m], rates of length `speeds` (1×q) [m/s] and unit vectors
+    `directions` (3×q). If the tension is controlled (`driven`), it is that of the first string.
     """
     count = lengths.shape[1]
     share = lengths / ca.sum2(lengths)

@@ -22,9 +22,9 @@ class Segments(NamedTuple):
 def find_closest_points(at: Segments) -> tuple[Any, Any]:
     """Find the closest points of segments a–b and c–d.
 
-    Returns their positions (1×m) along both segments, from 0 at a and c to 1 at b and d. The first
-    point is that of the infinite lines, clamped to its segment. The others follow one after the
-    other, each clamped.
+    Returns their positions (1×m) along both segments, from 0 at a and c to 1 at b and d. The point
+    on a–b is computed for infinite lines and clamped to the segment. Then the nearest point on c–d
+    is computed, and the nearest one to that on a–b, both clamped.
     """
     first, second, between = at.b - at.a, at.d - at.c, at.a - at.c
     A, E, B = (ca.sum1(x * y) for x, y in ((first, first), (second, second), (first, second)))

@@ -20,7 +20,8 @@ def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     """Compute the normal forces w (k d − c v) (1×n) [N], at least 0.
 
     w are the weights of the contact points, d the depths and v the normal velocities. `law` has
-    stiffness k and damping c, and V (3×n) [m/s] are relative velocities.
+    stiffness k and damping c, and V (3×n) [m/s] are relative velocities. If the flags `touching`
+    (1×n) are given, the forces are not limited, and vanish where a flag is 0.
     """
     depth, outward = contact.depth, contact.outward
     push = law.stiffness * depth

@@ -474,7 +474,8 @@ def _loop(
 ) -> tuple[ca.Function, bool, str]:
     """Build the Function of a tangent or adjoint pass.
 
-    The model caches it. Also returns whether it is machine code, and the reason if not.
+    With `forward`, it is a tangent pass. It propagates `width` directions at a time. The model
+    caches the Function. Also returns whether it is machine code, and the reason if not.
     """
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)

@@ -134,10 +134,12 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
 def _find_step(
     excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, limits: Array
 ) -> Array:
-    """Find the Newton step (c,) of the slips at all nodes.
+    """Find the Newton step (c,) of the slips at c nodes.
 
-    `excess` is a function of the slips, with the value `error` at the slipping nodes now. The step
-    is zero if the slips do not change the tensions.
+    `side` is 1 or −1 for the direction in which a cable slips over a node, 0 where it sticks. The
+    function `excess` of the slips gives the excess tensions, whose value at slipping nodes is
+    `error`. `limits` are the largest slips [m]. The step is zero if the slips do not change the
+    tensions.
     """
     slipping = np.flatnonzero(side)
     slopes = np.zeros((len(slipping), len(slipping)))

@@ -301,7 +301,10 @@ def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, f
 
 
 def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
-    """Compute how far a body's mass extends from a plane or line [m]."""
+    """Compute how far a body's mass extends from a plane or line [m].
+
+    The plane or line contains `origin` and the orthonormal directions Q (3, d).
+    """
     across = np.eye(3) - Q @ Q.T
     gyration = np.sqrt(max(float(np.trace(across @ own.moments @ across)), 0.0) / own.mass)
     thin = float(np.sqrt(NEGLIGIBLE * np.trace(own.moments) / own.mass))  # of rounded moments

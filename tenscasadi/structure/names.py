@@ -21,8 +21,8 @@ _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "gu
 def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
     """Read the names of items, "" for unnamed items.
 
-    The result is empty if no item has a name. Raises TypeError, or ValueError, which also rejects
-    numbers and duplicate names.
+    The result is empty if no item has a name. Raises TypeError or ValueError, also for duplicate
+    names and names that are numbers.
     """
     names = tuple(text(field, name) for name in as_tuple(field, value, '["foot", "top"]'))
     if names and len(names) != count:

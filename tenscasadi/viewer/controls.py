@@ -141,7 +141,8 @@ class ViewControls:
     def _add_hover(self, scene: viser.SceneApi) -> None:
         """Show the name of the node or member under the pointer.
 
-        The click on an item comes before that on the scene, which comes without an item, too.
+        Viser reports a click on an item before the click on the scene. The latter is reported also
+        without an item.
         """
         for k, layer in enumerate(self.canvas.layers):
             for kind in KINDS:

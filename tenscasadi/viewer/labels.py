@@ -31,7 +31,7 @@ class Labels:
     def has(self, item: Item) -> bool:
         """Return whether a node or member exists.
 
-        A page can name any.
+        A browser may send any index.
         """
         k, kind, index = item
         motions = self._canvas.content.motions
@@ -56,7 +56,7 @@ class Labels:
     def toggle(self, item: Item) -> None:
         """Add or remove the label of a clicked item.
 
-        Items that do not exist are ignored, because a page can name any. Of more than 12 labels the
+        Items that do not exist are ignored, because a browser may send any index. Of more than 12 labels the
         oldest is removed.
         """
         k, kind, index = item

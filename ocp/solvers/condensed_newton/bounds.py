@@ -101,9 +101,10 @@ class BoundDuals:
         return float(np.abs(np.append(below, above)).max(initial=0.0))
 
     def follow(self, before: Array, after: Array, step: Array, mu: float, most: float) -> None:
-        """Take the Newton step of the duals.
+        """Update the duals by Newton's method for a step of the variables.
 
-        They stay positive and near μ / distance.
+        The variables change from `before` to `after`, with the Newton step `step`. The duals
+        decrease by at most the fraction `most`, and stay near μ / distance.
         """
         spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
         ways = zip(

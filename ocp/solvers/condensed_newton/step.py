@@ -66,8 +66,8 @@ class QuadraticModel:
     def step(self, left: Residual, radius: float) -> TrialStep:
         """Compute a step by normal and tangential steps.
 
-        The normal step satisfies the linearized goals. The tangential step minimizes the model
-        within a trust region of the given radius.
+        The normal step removes the violations `left` of the linearized goals. The tangential step
+        minimizes the model within a trust region of the given radius.
         """
         expansion, projector = self.expansion, self.projector
         drift = expansion.follow(None, left.defects)

@@ -150,7 +150,9 @@ def _read_members(
 ) -> Array:
     """Read one positive number for each member, or for each cable.
 
-    Rest length and mass of a cable are distributed by length. Raises TypeError, ValueError.
+    `key` is the name of the variable in the file, and `keyword` that of the option that replaces
+    it. `cable` (m,) is the cable of each member. Rest length and mass of a cable are distributed by
+    length. Raises TypeError, ValueError.
     """
     if key not in variables:
         cure = f"give {keyword}=..., or save {key} too"

@@ -140,7 +140,8 @@ def ground_numbers(
 ) -> dict[str, float | None]:
     """Compute parameters of a `Ground` from MuJoCo's contact attributes.
 
-    They are stiffness, damping, friction and slip speed.
+    They are stiffness, damping, friction and slip speed. `inverse` is the inverse mass [1/kg], and
+    `standing` the load on one supporting node [N].
     """
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {

@@ -41,7 +41,7 @@ class Pose(NamedTuple):
         return np.asarray(self.place + self.turn @ point)
 
     def within(self, outer: Pose) -> Pose:
-        """Transform this frame to the frame around `outer`."""
+        """Express this frame, given relative to `outer`, in the coordinates of `outer`'s parent."""
         return Pose(outer.at(self.place), outer.turn @ self.turn)
 
 

@@ -114,7 +114,10 @@ class PieceEnds:
             self.points[k].append(point)
 
     def _add_point_off(self, k: int, start: Array, end: Array) -> None:
-        """Add endpoints of a hinged piece that are off the axis."""
+        """Add endpoints of a hinged piece that are off the hinge axis.
+
+        The axis of piece k runs from `start` to `end` (3,) [m].
+        """
         axis = (end - start) / np.linalg.norm(end - start)
         piece = self.bodies.pieces[k]
         for geom in piece.geoms:
@@ -173,7 +176,10 @@ class PieceEnds:
                 self.pinned.add(first)
 
     def node(self, end: Endpoint) -> Endpoint:
-        """Return the endpoint that represents the node of an endpoint."""
+        """Return the representative of all endpoints that form one node.
+
+        The argument is one of these endpoints.
+        """
         while end in self._same:
             end = self._same[end]
         return end
@@ -316,7 +322,8 @@ class PieceEnds:
     ) -> float:
         """Compute a bar's radius from the transverse inertia (Eq. 19).
 
-        Raises SceneFileError.
+        The bar has a mass, a length, a direction `axis` and an inertia matrix (3, 3) about its
+        center. Raises SceneFileError.
         """
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T

@@ -131,9 +131,10 @@ class Defaults:
 
 
 def check(element: Element) -> Element:
-    """Omit attributes that have no counterpart in a scene.
+    """Check an element for attributes without a counterpart in a scene.
 
-    They affect the dynamics. Returns the element. Raises SceneFileError if the import is strict.
+    Those that affect the dynamics are omitted. Returns the element. Raises SceneFileError for them
+    if the import is strict.
     """
     read, neutral = _READ.get(element.tag), _NEUTRAL.get(element.tag, {})
     for name, value in element.attributes.items():

@@ -306,9 +306,10 @@ class Loop:
         return np.asarray(found.reshape(*shape, -1))
 
     def _find_faults(self, z: Array, measure: Array, steps: Indices) -> Any:
-        """Find the failure codes (k, n) of states before each step.
+        """Find the failure codes (k, n) of n runs before k steps.
 
-        A run fails if it is not finite or if its bars have large length errors.
+        `measure` are the errors of the states z. A run fails if its state is not finite or if its
+        bars have large length errors.
         """
         q, x = self.q, z[:, :, : self.sizes["nx"]]
         codes = np.full(x.shape[:2], FINISHED)

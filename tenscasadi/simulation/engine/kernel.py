@@ -33,8 +33,8 @@ class Backend(Protocol):
     """Interface of objects that compute time steps.
 
     `lanes` is the number of runs per instruction, 0 without machine code. Time slices are multiples
-    of `chunk` steps. `companions` tells whether a run can be accompanied by runs with longer steps,
-    for its error estimate.
+    of `chunk` steps. `companions` is whether a run with longer steps can be computed at the same
+    time, for the error estimate.
     """
 
     lanes: int

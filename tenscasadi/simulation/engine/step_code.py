@@ -386,7 +386,7 @@ def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
 def _replace_branches(source: str) -> str:
     """Replace conditional expressions in C code by SIMD selections.
 
-    Other branches do not compile for lanes.
+    C++ code for SIMD vectors does not compile with other branches.
     """
     source = _CONDITION.sub(r"select(\1, \2)", _tables_lane_by_lane(_COMMENT.sub("", source)))
     return _SIGN.sub(

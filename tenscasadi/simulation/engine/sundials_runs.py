@@ -124,7 +124,10 @@ class SundialsRuns(Interpreted):
         return np.array(self._integrators[key](x0=z, u=held, **guess)["xf"].full()).T
 
     def _correct(self, rows: Array, w: Array, which: Any) -> None:
-        """Project states (k, nz) onto the constraints, in place."""
+        """Project states (k, nz) onto the constraints, in place.
+
+        `which` (k,) marks the states to project.
+        """
         if self._project is not None and which.any():
             held = np.tile(w[:, None], int(which.sum()))
             states = self._project(rows[which, : self._nx].T, held).full().T

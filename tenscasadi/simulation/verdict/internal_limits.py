@@ -54,7 +54,7 @@ def check_internal_states(runs: Runs) -> Doubts:
 def describe_motor_overload(runs: Runs, k: int) -> str:
     """Describe the motor that exceeds a limit of its `Winch` most.
 
-    Returns "" if none does. Torques by feedback are not known, as it has limits of its own.
+    Returns "" if none does. The torques of a run with feedback are not examined: they are limited.
     """
     inputs = runs.request.inputs
     model, steps = inputs.model, runs.saved_steps(k)

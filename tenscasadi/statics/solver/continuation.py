@@ -203,10 +203,10 @@ class Tracer:
         raise PathEnd(f"no equilibrium follows the one at factor {place.factor:.6g}")
 
     def _stop_at(self, place: PathPoint, beyond: PathPoint, bound: float) -> PathPoint:
-        """Find the equilibrium at a factor between two equilibria.
+        """Find the equilibrium at the factor `bound` between two path points.
 
-        The initial guess is on the parabola through both along the first tangent, so that the
-        first one can be a limit point.
+        The initial guess is on the parabola through both along the first tangent, so that the first
+        one can be a limit point.
         """
         way = self._way(place, beyond)
         along = float(place.direction @ way) * place.direction
@@ -261,7 +261,9 @@ class Tracer:
     ) -> tuple[StaticPoint, Array, float, int] | None:
         """Find the equilibrium in a hyperplane across the path.
 
-        The hyperplane has the normal `across`. Returns None if Newton's method does not converge.
+        The hyperplane has the normal `across` (free + 1,), and the distance `offset` from the
+        initial guess: nodes, tensions of rigid bars, and factor. Returns None if Newton's method
+        does not converge.
         """
         equations, system = self.equations, self.system
         for iteration in range(ITERATIONS + 1):
@@ -341,7 +343,8 @@ class Tracer:
     ) -> PathPoint:
         """Compute the tangent and stability of an equilibrium on the path.
 
-        The path point contains the number of displacement modes without a positive stiffness.
+        The tangent has a positive component along `ahead`. The path point contains the number of
+        displacement modes without a positive stiffness.
         """
         system = self.system
         pressed = self.equations.at(
@@ -418,7 +421,8 @@ class Tracer:
     def _is_bifurcation(self, place: PathPoint, k: int, values: Array, motions: Array) -> bool:
         """Return whether the k-th softest mode indicates a bifurcation.
 
-        Its stiffness is then zero, and it is orthogonal to the load.
+        Its stiffness `values[k]` is then zero, and its mode `motions[:, k]` is orthogonal to the
+        load.
         """
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)

@@ -375,7 +375,8 @@ class NewtonFactors:
 def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
     """Compute the stiffness blocks (m, 3, 3) of members.
 
-    A block is γ I + c v vᵀ with c = `along` (m,).
+    A block is γ I + c v vᵀ, with the force density γ, c = `along` (m,) and the vector v of the
+    member.
     """
     blocks = (along[:, None] * vectors)[:, :, None] * vectors[:, None, :]
     blocks[:, range(3), range(3)] += gamma[:, None]

@@ -343,9 +343,10 @@ class _SearchState:
 def allowed_residual(
     system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
 ) -> float:
-    """Compute the unbalanced force below which forces balance [N].
+    """Compute the unbalanced force that counts as zero [N].
 
-    It is relative to the largest force, and not below the rounding error of the spring forces.
+    It is `accuracy` times the largest force of springs, rigid bars (`tension`) and loads, plus the
+    rounding error of the spring forces.
     """
     lengths = np.linalg.norm(point.springs, axis=1)
     forces = [np.abs(point.gamma) * lengths, np.abs(tension), np.abs(point.loads)]

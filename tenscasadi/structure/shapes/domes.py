@@ -195,7 +195,7 @@ def _dome(
     prestress: float | None,
     options: dict[str, Any],
 ) -> Structure:
-    """Build a cable dome.
+    """Build a cable dome; for the dimensions see `geiger_dome`.
 
     Strings lead from node i to the nodes i + shift of the next ring, for all `shifts`.
     """

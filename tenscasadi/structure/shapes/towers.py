@@ -143,8 +143,8 @@ def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _T
 def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
     """Build a tower of class 1 whose overlap permits a self-stress.
 
-    The stages overlap. At this overlap, the square equilibrium matrix of one node of each ring is
-    singular.
+    Stages overlap along z by a length that is found by bisection. At this overlap, the square
+    equilibrium matrix of one node of each ring is singular.
     """
 
     def build(overlap: float) -> _Tower:
