@@ -46,7 +46,11 @@ _WORST = 0.1  # m: what is further off is not drawn
 
 
 class Point(NamedTuple):
-    """One run: its error, m, and seconds per simulated second of the stepping alone and of the whole call; steps per second, NaN for own steps."""
+    """Error [m] and cost of one run.
+
+    The costs are seconds per simulated second of the stepping alone and of the whole call, and
+    steps per second, NaN for variable steps.
+    """
 
     error: float
     seconds: float
@@ -55,7 +59,11 @@ class Point(NamedTuple):
 
 
 class Result(NamedTuple):
-    """Of one shape: the error of the reference, m, the points of each program and method, and seconds to set each up."""
+    """Results of one structure.
+
+    They are the error of the reference [m], the points of each program and method, and the set-up
+    times.
+    """
 
     shape: str
     reference_error: float
@@ -63,7 +71,10 @@ class Result(NamedTuple):
     setup: dict[str, float]
 
     def cheapest(self, program: str, tolerance: float, whole: bool = False) -> tuple[float, str]:
-        """Seconds per simulated second and name of the fastest method of a program within a tolerance; infinite when there is none."""
+        """Find the fastest method of a program within a tolerance.
+
+        Returns seconds per simulated second and its name; inf if there is none.
+        """
         within = [
             (point.whole if whole else point.seconds, name)
             for name, points in self.curves.items()
@@ -73,7 +84,7 @@ class Result(NamedTuple):
         return min(within, default=(np.inf, "none"))
 
     def rate(self, name: str) -> float:
-        """Steps per second of a method of equal steps, the median over its steps; NaN when it was not run."""
+        """Compute the median steps per second of a fixed-step method, NaN if not run."""
         return (
             float(median([point.rate for point in self.curves[name]]))
             if name in self.curves
@@ -82,7 +93,10 @@ class Result(NamedTuple):
 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
-    """Measures, prints the tables, saves a picture of each shape and returns the results. `quick`: the prism, few steps, once."""
+    """Measure, print the tables, save pictures, and return the results.
+
+    With `quick`, only the prism is simulated, with few steps.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     try:
         mujoco: Any = import_module("mujoco")
@@ -114,7 +128,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Result]:
 
 
 def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
-    """All programs on one structure, each over its own steps or tolerances."""
+    """Simulate one structure by all programs with several steps or tolerances."""
     model = tc.Model(tc.Scene(s))
     velocities = np.cross(TURNING, s.nodes)
     start = model.state(s.nodes, velocities)
@@ -166,7 +180,11 @@ def measure(shape: str, s: tc.Structure, mujoco: Any, quick: bool) -> Result:
 
 
 def report(result: Result) -> None:
-    """Prints who needs how long for which accuracy: the stepping, the whole call, and the set-up of the method that steps fastest."""
+    """Print the times of all methods for several accuracies.
+
+    They are those of stepping, of the whole call, and of the set-up of the method that steps
+    fastest.
+    """
     programs = [
         name
         for name in ("tenscasadi", "MuJoCo", "SciPy")
@@ -200,14 +218,14 @@ def report(result: Result) -> None:
 
 
 def clock(call: Callable[[], object]) -> float:
-    """Seconds that a call takes."""
+    """Measure the wall time of a call [s]."""
     began = time.perf_counter()
     call()
     return time.perf_counter() - began
 
 
 def our_setup(s: tc.Structure, start: np.ndarray, scheme: Any, correction: Any) -> float:
-    """Seconds to build a model, to generate its code and to compile it, where nothing was compiled before."""
+    """Measure the time to build and compile a model with an empty cache [s]."""
     before = os.environ.get("TENSCASADI_CACHE")
     with TemporaryDirectory() as empty:
         os.environ["TENSCASADI_CACHE"] = empty
@@ -238,7 +256,7 @@ def our_run(
     reference: np.ndarray,
     repeats: int,
 ) -> Point:
-    """`count` equal steps by tenscasadi, in one call."""
+    """Simulate `count` equal steps by tenscasadi in one call."""
     runs = []
     for _ in range(repeats + 1):  # the first one may compile
         began = time.perf_counter()
@@ -265,7 +283,7 @@ def our_run(
 def mujoco_run(
     mujoco: Any, s: tc.Structure, integrator: str, count: int, reference: np.ndarray, repeats: int
 ) -> Point:
-    """`count` equal steps by MuJoCo, in one call."""
+    """Simulate `count` equal steps by MuJoCo in one call."""
     model = mujoco.MjModel.from_xml_string(mujoco_scene(s, T_END / count))
     model.opt.integrator = getattr(mujoco.mjtIntegrator, f"mjINT_{integrator.upper()}")
     data = mujoco.MjData(model)
@@ -292,7 +310,7 @@ def mujoco_run(
 
 
 def mujoco_scene(s: tc.Structure, step: float) -> str:
-    """The structure in MuJoCo's XML, turning at the start."""
+    """Write the structure as MuJoCo's XML, with its initial rotation."""
     with TemporaryDirectory() as folder:
         return tc.export_mjcf(
             tc.Scene(s), Path(folder) / "scene.xml", np.cross(TURNING, s.nodes), step=step
@@ -307,7 +325,7 @@ def scipy_run(
     reference: np.ndarray,
     repeats: int,
 ) -> Point:
-    """`solve_ivp` with a tolerance, on the right-hand side in NumPy."""
+    """Simulate with `solve_ivp` and a NumPy right-hand side."""
     rhs = numpy_rhs(s)
 
     def run() -> tuple[float, Any]:
@@ -324,7 +342,7 @@ def scipy_run(
 
 
 def numpy_rhs(s: tc.Structure) -> Callable[[float, np.ndarray], np.ndarray]:
-    """ẋ of a free structure whose bars share no nodes: constant matrices once, then a dozen array operations."""
+    """Build ẋ of an unsupported structure of class 1 in NumPy."""
     C_b, C_s, k, rest = s.C_b, s.C_s, s.stiffness, s.rest_length
     inverse_mass = np.linalg.inv(s.mass_matrix().toarray())
     pull, push = -inverse_mass @ C_s.T, inverse_mass @ C_b.T

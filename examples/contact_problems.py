@@ -25,7 +25,10 @@ EDGE, BEHIND = (3, 7), 11  # the face on which the ball stands: it tips over EDG
 
 
 class Asked(NamedTuple):
-    """A problem, and how far its replay may end from the goals, m (None: 1 % of the structure's size)."""
+    """Problem with its permitted replay error [m].
+
+    None is 1 % of the structure's size.
+    """
 
     build: Callable[[], ocp.Problem]
     tolerance: float | None = None
@@ -46,7 +49,10 @@ def main(folder: Path = Path(), quick: bool = False) -> dict[str, ocp.Plan]:
 
 
 def low_prism(stiffness: float = 1e4, damping: float = 20.0) -> tc.Model:
-    """A prism of three bars of 1 m and 0.3 kg, 0.6 m high, on a ground with friction."""
+    """Model of a prism of three bars of 1 m and 0.3 kg on a ground with friction.
+
+    It is 0.6 m high.
+    """
     height = 0.6
     prism = tc.shapes.prism(
         3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=0.3
@@ -56,7 +62,7 @@ def low_prism(stiffness: float = 1e4, damping: float = 20.0) -> tc.Model:
 
 
 def heavy_prism() -> tc.Model:
-    """A prism of three bars of 1 m and 1 kg on a soft ground, which damps slipping."""
+    """Model of a prism of three bars of 1 m and 1 kg on a compliant ground."""
     height = 0.55
     prism = tc.shapes.prism(
         3, np.sqrt(1.0 - height**2) / (2 * np.sin(np.radians(75))), height, bar_mass=1.0
@@ -66,7 +72,11 @@ def heavy_prism() -> tc.Model:
 
 
 def ball_on_face(slope: float = 0.0) -> tc.Model:
-    """The ball of six bars of 1 m and 1 kg on a face, x over the edge that is uphill on a slope (°): gravity is tilted instead."""
+    """Model of a ball of six bars of 1 m and 1 kg that stands on a face.
+
+    The x axis points over the edge of the face, uphill on a slope [°]: gravity is tilted instead of
+    the ground.
+    """
     ball = tc.shapes.six_bar_ball()
     edge, behind = ball.nodes[list(EDGE)], ball.nodes[BEHIND]
     down, ahead = edge.sum(axis=0) + behind, edge.mean(axis=0) - behind
@@ -86,7 +96,10 @@ def ball_on_face(slope: float = 0.0) -> tc.Model:
 
 
 def top_of_a_jump(nodes: int) -> list[ocp.Constraint]:
-    """What holds at the top of a jump, of a structure whose nodes all weigh the same: it neither rises nor falls, and no node touches the ground."""
+    """Constraints at the highest point of a jump, for nodes of equal mass.
+
+    The vertical velocity of the center of mass is zero, and no node touches the ground.
+    """
     return [
         ocp.Constraint(
             "rise", lambda end: ca.sum2(end.velocities)[2] / nodes, -0.1, 0.1, at_end=True
@@ -98,7 +111,7 @@ def top_of_a_jump(nodes: int) -> list[ocp.Constraint]:
 def prism_jumps(
     rise: float, stiffness: float = 1e4, damping: float = 20.0, duration: float = 0.5
 ) -> ocp.Problem:
-    """The prism jumps: its center of mass is `rise` m higher at the end, which is the top of its way."""
+    """Jump of a prism by which its center of mass rises by `rise` [m]."""
     model = low_prism(stiffness, damping)
     goal = ocp.CenterOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
     return ocp.Problem(
@@ -110,7 +123,7 @@ def prism_jumps(
 
 
 def ball_jumps(rise: float = 0.2) -> ocp.Problem:
-    """The ball jumps from a face."""
+    """Jump of a ball from a face."""
     model = ball_on_face()
     goal = ocp.CenterOfMass((None, None, model.structure.nodes[:, 2].mean() + rise))
     return ocp.Problem(
@@ -119,7 +132,7 @@ def ball_jumps(rise: float = 0.2) -> ocp.Problem:
 
 
 def prism_lands(rise: float = 0.15) -> ocp.Problem:
-    """The prism jumps, and comes to rest where it stood."""
+    """Jump of a prism with a landing at rest at its initial position."""
     model = low_prism(damping=60.0)
     x, y, z = model.structure.nodes.mean(axis=0).tolist()
     goals = [
@@ -131,7 +144,10 @@ def prism_lands(rise: float = 0.15) -> ocp.Problem:
 
 
 def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp.Problem:
-    """The prism crawls along x: after each period its center of mass is a step further, and as high as it was."""
+    """Locomotion of a prism along x, by `step` [m] in each period.
+
+    The center of mass is at its initial height after each period.
+    """
     model = heavy_prism()
     start = model.structure.nodes - [0, 0, 9.81 / 1e3]  # three nodes carry 3 kg
     x, _, z = start.mean(axis=0).tolist()
@@ -149,7 +165,7 @@ def prism_crawls(step: float = 0.1, period: float = 0.4, cycles: int = 3) -> ocp
 
 
 def ball_tips(slope: float = 0.0) -> ocp.Problem:
-    """The ball tips onto its next face and stands there: the nodes of the face are in their places, the center is high, and nothing moves."""
+    """Rotation of a ball onto its next face, where it stands at rest."""
     model = ball_on_face(slope)
     nodes = model.structure.nodes
     ahead, up = nodes[:, 0] - nodes[EDGE[0], 0], nodes[:, 2]
@@ -186,7 +202,7 @@ PROBLEMS: dict[str, Asked] = {
 
 
 def draw(plans: dict[str, ocp.Plan], path: Path, instants: int = 6) -> None:
-    """Side views of each motion at equal intervals of time, and the way of the center."""
+    """Draw side views of each motion at equal intervals, and the path of the center."""
     rows = -(-len(plans) // 2)
     figure = Figure(figsize=(12.0, 1.6 * rows + 0.5), layout="constrained")
     for ax, (name, plan) in zip(

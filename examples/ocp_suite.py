@@ -27,7 +27,7 @@ TIME_LIMIT = 60.0  # of a random problem, s
 
 
 class Row(NamedTuple):
-    """What became of a case."""
+    """Result of the plan of one problem."""
 
     kind: str
     name: str
@@ -40,12 +40,12 @@ class Row(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether a plan was found and its replay is as exact as it should be."""
+        """Whether a plan was found whose replay error is within the tolerance."""
         return self.success and not self.error > self.tolerance
 
 
 def cases(kinds: Sequence[str] = (), quick: bool = False) -> Iterator[Case]:
-    """The problems (of some kinds; quick: some of them)."""
+    """Yield the problems, of some kinds if given; with `quick`, a few of them."""
     for name in RANDOM.keys() & kinds:
         yield from wide_cases(RANDOM[name])
     for case in chain(
@@ -56,13 +56,13 @@ def cases(kinds: Sequence[str] = (), quick: bool = False) -> Iterator[Case]:
 
 
 def contact_cases() -> Iterator[Case]:
-    """Jumps, landings, crawls and tips (`contact_problems`), to 1 cm or as asked there."""
+    """Yield the contact problems of `contact_problems`, by default with 1 cm tolerance."""
     for name, asked in contact_problems.PROBLEMS.items():
         yield Case("contact", name, asked.build, asked.tolerance or 0.01)
 
 
 def solved(case: Case) -> tuple[Row, str]:
-    """The row of a case, and what its plan says."""
+    """Solve a problem; return its row of the table and the message of the plan."""
     began = time.perf_counter()
     if np.isnan(case.tolerance):
         plan = ocp.solve(case.problem(), time_limit=TIME_LIMIT)
@@ -83,7 +83,7 @@ def solved(case: Case) -> tuple[Row, str]:
 
 
 def print_kinds(rows: Sequence[Row]) -> None:
-    """Prints how many of each kind were solved, and their seconds and iterations."""
+    """Print the number of solved problems of each kind, times and iterations."""
     print(
         f"\n{'kind':16}  problems  solved  seconds: median  ninetieth percentile  iterations: median  ninetieth percentile"
     )
@@ -100,7 +100,10 @@ def print_kinds(rows: Sequence[Row]) -> None:
 
 
 def main(quick: bool = False, kinds: Sequence[str] = ()) -> list[Row]:
-    """Solves the problems (quick: some of them), prints a row for each and for each kind; returns the rows."""
+    """Solve the problems, print a row for each and for each kind; return the rows.
+
+    With `quick`, a few of them are solved.
+    """
     print(f"{'problem':36}  found  iterations  seconds   objective  replay error  tolerance")
     rows = []
     for case in cases(kinds, quick):

@@ -1,1 +1,1 @@
-"""Problems that users of planners bring, by kind: what examples/ocp_suite.py solves."""
+"""Planning problems of typical kinds, which examples/ocp_suite.py solves."""

@@ -1,4 +1,4 @@
-"""What a problem of the suite consists of."""
+"""Definition of a problem of the suite."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import ocp
 
 
 class Case(NamedTuple):
-    """A problem by its kind and name, and the error, m, that its replay may have.
+    """Problem with its kind, its name, and the permitted replay error [m].
 
-    quick: whether it is among the few that are solved where time is short.
+    `quick` is whether it is solved in short runs of the suite.
     """
 
     kind: str

@@ -1,4 +1,4 @@
-"""Structures that float free, or stand on hinges, and change their shape from rest to rest."""
+"""Shape changes of unsupported or hinged structures, from rest to rest."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ Span = float | tuple[float, float]
 def reshaped(
     start: tc.Structure, end: tc.Structure, lower: float, duration: Span = 1.0, **scene: Any
 ) -> ocp.Problem:
-    """The structure takes the string lengths of another one, from rest to rest, at force densities of `lower` to 200 N/m."""
+    """Change of a structure's string lengths to those of another one.
+
+    It begins and ends at rest. Force densities are between `lower` and 200 N/m.
+    """
     goals = [ocp.StringLengths(end.string_lengths), ocp.AtRest()]
     return ocp.Problem(
         driven(start, **scene),
@@ -34,12 +37,12 @@ def reshaped(
 def free_prism(
     bars: int, low: float, high: float, duration: Span = 1.0, **scene: Any
 ) -> ocp.Problem:
-    """A free prism changes its height."""
+    """Height change of an unsupported prism from `low` to `high` [m]."""
     return reshaped(prism(bars, low), prism(bars, high), 2.0, duration, **scene)
 
 
 def falling() -> ocp.Problem:
-    """A prism changes shape in free fall."""
+    """Shape change of a prism in free fall."""
     goals = [ocp.StringLengths(prism(3, 1.05).string_lengths)]
     model = driven(prism(3, 1.0), gravity=tc.Gravity())
     return ocp.Problem(
@@ -48,7 +51,11 @@ def falling() -> ocp.Problem:
 
 
 def standing_prism(bars: int, angle: float) -> ocp.Problem:
-    """A prism whose lower nodes are pinned lifts its upper ones, as far as the bars allow, by turning them by `angle` rad."""
+    """Lifting of the upper nodes of a prism whose lower nodes are pinned.
+
+    The upper nodes turn about the vertical by `angle` rad. Their height follows from the bar
+    lengths.
+    """
     structure = prism(bars, 1.0, pinned=range(bars))
     turned, ends = structure.nodes.copy(), structure.bars
     turned[bars:, :2] = turned[bars:, :2] @ [
@@ -71,12 +78,12 @@ def standing_prism(bars: int, angle: float) -> ocp.Problem:
 
 
 def free_tower(stages: int, low: float = 0.8, high: float = 0.88, bars: int = 3) -> ocp.Problem:
-    """A free tower changes its height."""
+    """Height change of an unsupported tower."""
     return reshaped(tower(stages, low, bars), tower(stages, high, bars), 1.0)
 
 
 def standing_tower(stages: int, low: float, high: float, **scene: Any) -> ocp.Problem:
-    """A tower whose lowest ring is pinned lifts its highest ring's middle."""
+    """Lifting of the mean of the highest ring of a tower with pinned lowest ring."""
     structure = tower(stages, low, pinned=range(3))
     top = range(3 * stages, 3 * stages + 3)
     goals = [ocp.NodePositions(dict.fromkeys(top, (None, None, stages * high))), ocp.AtRest()]
@@ -92,7 +99,7 @@ def standing_tower(stages: int, low: float, high: float, **scene: Any) -> ocp.Pr
 def d_bar(
     start: float, end: float, pinned: tuple[int, ...] = (0,), duration: Span = 1.0
 ) -> ocp.Problem:
-    """A D-bar folds or unfolds."""
+    """Folding or unfolding of a D-bar."""
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=end).string_lengths), ocp.AtRest()]
     return ocp.Problem(
         driven(tc.shapes.d_bar(angle=start, pinned=pinned)), duration, goals=goals, costs=EFFORT
@@ -100,7 +107,7 @@ def d_bar(
 
 
 def t_bar(turn: float, duration: Span = 1.0) -> ocp.Problem:
-    """A free T-bar turns its short bars against its long ones, in the plane."""
+    """Rotation of the short bars of an unsupported T-bar against its long ones."""
     structure = tc.shapes.t_bar()
     nodes = structure.nodes.copy()
     nodes[[1, 3], 0], nodes[[1, 3], 1] = (
@@ -114,7 +121,7 @@ def t_bar(turn: float, duration: Span = 1.0) -> ocp.Problem:
 
 
 def ball(size: float, duration: Span = 1.0, **scene: Any) -> ocp.Problem:
-    """The six-bar ball is pressed or blown up: every bar keeps its direction and moves towards the middle, or away from it."""
+    """Contraction or expansion of the six-bar ball; bars keep their directions."""
     goals = [ocp.Shape(six_bar_ball(size).nodes), ocp.AtRest()]
     start = tc.shapes.six_bar_ball()
     return ocp.Problem(
@@ -129,12 +136,12 @@ def ball(size: float, duration: Span = 1.0, **scene: Any) -> ocp.Problem:
 def hub_folds(
     count: int, start: float, end: float, pinned: Sequence[int] = (), **scene: Any
 ) -> ocp.Problem:
-    """Bars around a hub fold up or down, like those of an umbrella."""
+    """Folding of bars around a hub, like those of an umbrella."""
     return reshaped(hub(spread(count, start), pinned=pinned), hub(spread(count, end)), 0.5, **scene)
 
 
 def net_moves(size: int, depth: float) -> ocp.Problem:
-    """The middle of a net in a fixed rim, at first flat, is pulled sideways within its plane."""
+    """Displacement of the middle of a net within its plane; the rim is fixed."""
     structure = net(size)
     middle = int(np.argmin(np.linalg.norm(structure.nodes - structure.nodes.mean(axis=0), axis=1)))
     place = structure.nodes[middle] + (depth, depth / 2, 0)
@@ -149,7 +156,7 @@ def net_moves(size: int, depth: float) -> ocp.Problem:
 
 
 def small_cases() -> Iterator[Case]:
-    """Prisms, D-bars, T-bars, balls."""
+    """Yield problems of prisms, D-bars, T-bars and balls."""
     for bars in (3, 4, 5, 6):
         for low, high in ((1.0, 1.05), (1.0, 1.15), (1.1, 0.8)):
             name, quick = f"prism of {bars}, {low} to {high} m", bars == 3 and high == 1.15
@@ -192,7 +199,7 @@ def small_cases() -> Iterator[Case]:
 
 
 def large_cases() -> Iterator[Case]:
-    """Towers, hubs, nets, massive strings."""
+    """Yield problems of towers, hubs, nets and strings with mass."""
     for stages in (2, 3, 4, 8):
         yield Case("tower", f"tower of {3 * stages} bars", partial(free_tower, stages), 1e-3)
     yield Case("tower", "tower of 8 bars, rings of 4", partial(free_tower, 2, 0.8, 0.85, 4), 1e-3)
@@ -229,7 +236,7 @@ def large_cases() -> Iterator[Case]:
 
 
 def heavy_strings(bars: int, segments: int) -> ocp.Problem:
-    """A prism on its feet lifts its upper nodes with strings whose mass counts, each cut into pieces."""
+    """Lifting of a standing prism by strings with mass, in several segments each."""
     structure = prism(bars, 1.0, pinned=range(bars), string_mass=0.05)
     top = range(bars, 2 * bars)
     goals = [ocp.NodePositions(dict.fromkeys(top, (None, None, 1.05)))]

@@ -1,4 +1,4 @@
-"""Structures of the suite's problems."""
+"""Structures of the problems in the suite."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import tenscasadi as tc
 
 
 def driven(structure: tc.Structure, **scene: Any) -> tc.Model:
-    """The structure under given force densities."""
+    """Model of a structure with force densities as control."""
     return tc.Model(tc.Scene(structure, control=tc.ForceDensity(), **scene))
 
 
 def turn(bars: int) -> float:
-    """The angle, rad, between the ends of a bar of a prism in equilibrium, seen from above."""
+    """Angle [rad] about the vertical between the ends of a prism's bar in equilibrium."""
     return np.pi / 2 + np.pi / bars
 
 
 def prism(bars: int, height: float, length: float = 1.4, **options: Any) -> tc.Structure:
-    """The prism that stands `height` m tall in equilibrium on bars of `length` m."""
+    """Prism of a height [m] in equilibrium, with bars of a length [m]."""
     radius = np.sqrt(length**2 - height**2) / (2 * np.sin(turn(bars) / 2))
     return tc.shapes.prism(bars, radius, height, **options)
 
@@ -28,7 +28,7 @@ def prism(bars: int, height: float, length: float = 1.4, **options: Any) -> tc.S
 def tower(
     stages: int, height: float, bars: int = 3, length: float = 1.4, **options: Any
 ) -> tc.Structure:
-    """Prisms on top of each other, each `height` m tall, which share their rings; every other one turns the other way."""
+    """Tower of prisms of a height [m] that share rings, with alternating handedness."""
     radius = np.sqrt(length**2 - height**2) / (2 * np.sin(turn(bars) / 2))
     one = range(bars)
     nodes, ends, strings, first = [], [], [], 0.0
@@ -49,7 +49,7 @@ def tower(
 
 
 def six_bar_ball(size: float, **options: Any) -> tc.Structure:
-    """The six-bar ball whose bars keep their directions and stand `size` times as far from its middle."""
+    """Six-bar ball with bars at `size` times the distance from the center."""
     start = tc.shapes.six_bar_ball(**options)
     nodes = start.nodes.copy()
     middle = nodes[start.bars].mean(axis=1)
@@ -59,7 +59,10 @@ def six_bar_ball(size: float, **options: Any) -> tc.Structure:
 
 
 def arm(bars: int = 1, **options: Any) -> tc.Structure:
-    """Bars of 1 m on top of each other, hinged on the ground and to each other; four strings hold the top of each from around its foot."""
+    """Chain of hinged bars of 1 m that stands on the ground.
+
+    Four strings connect the upper end of each bar to points around its lower end.
+    """
     joints = [(0.0, 0.0, float(level)) for level in range(bars + 1)]
     around = [
         (x, y, float(level))
@@ -76,7 +79,7 @@ def arm(bars: int = 1, **options: Any) -> tc.Structure:
 
 
 def hub(tips: np.ndarray, **options: Any) -> tc.Structure:
-    """Bars from a common middle to these tips (n, 3), which strings join to each other."""
+    """Bars from a common node to the nodes `tips` (n, 3), connected by strings."""
     count = len(tips)
     strings = [(a, b) for a in range(1, count + 1) for b in range(a + 1, count + 1)]
     return tc.Structure(
@@ -85,7 +88,7 @@ def hub(tips: np.ndarray, **options: Any) -> tc.Structure:
 
 
 def spread(count: int, lift: float) -> np.ndarray:
-    """Unit vectors: one upwards, the others around, `lift` rad below the horizon."""
+    """Unit vectors: one upward, `count` − 1 others `lift` rad below the horizontal."""
     angles = 2 * np.pi * np.arange(count - 1) / (count - 1)
     around = np.column_stack(
         [
@@ -98,7 +101,7 @@ def spread(count: int, lift: float) -> np.ndarray:
 
 
 def net(size: int, **options: Any) -> tc.Structure:
-    """A square net of strings with knots of 0.2 kg, `size` by `size` of them within its fixed rim, knots 0.5 m apart."""
+    """Square net of `size` × `size` nodes of 0.2 kg, 0.5 m apart, with a fixed rim."""
     side = size + 2
     nodes = [(0.5 * row, 0.5 * column, 0.0) for row in range(side) for column in range(side)]
     inside = [row * side + column for row in range(1, side - 1) for column in range(1, side - 1)]

@@ -1,4 +1,4 @@
-"""Arms that reach, waypoints, least time, loads, limits on the way."""
+"""Planning problems with arms, waypoints, minimum time, loads and constraints."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def reach(
     costs: tuple[Cost, ...] = EFFORT,
     top: float = 300.0,
 ) -> ocp.Problem:
-    """A bar on a hinge between four strings leans over."""
+    """Inclination of a hinged bar between four strings."""
     model = driven(arm(), gravity=tc.Gravity() if weight else None)
     goals = [ocp.NodePositions({1: (place, 0.2, None)}), ocp.AtRest()]
     return ocp.Problem(
@@ -34,7 +34,7 @@ def reach(
 
 
 def long_arm(bars: int, lean: float, weight: bool = False) -> ocp.Problem:
-    """An arm of some bars, at first straight, moves its tip sideways."""
+    """Sideways motion of the tip of an arm of several bars."""
     model = driven(arm(bars), gravity=tc.Gravity() if weight else None)
     goals = [ocp.NodePositions({bars: (lean, 0.1, None)}), ocp.AtRest()]
     return ocp.Problem(
@@ -43,7 +43,7 @@ def long_arm(bars: int, lean: float, weight: bool = False) -> ocp.Problem:
 
 
 def there_and_back(height: float = 1.1) -> ocp.Problem:
-    """A prism grows and is back as it was, ready to start again."""
+    """Height change of a prism and return to its initial state."""
     goals = [ocp.Waypoint([ocp.Shape(prism(3, height).nodes)], time=0.5), ocp.Periodic()]
     return ocp.Problem(
         driven(prism(3, 1.0)),
@@ -55,7 +55,7 @@ def there_and_back(height: float = 1.1) -> ocp.Problem:
 
 
 def prism_by_way_of(*heights: float, duration: Span = 1.0) -> ocp.Problem:
-    """A prism takes several heights, one after the other."""
+    """Height changes of a prism, one after another, as waypoints."""
     *between, last = heights
     waypoints = [
         ocp.Waypoint([ocp.StringLengths(prism(3, h).string_lengths)], share=(k + 1) / len(heights))
@@ -72,7 +72,7 @@ def prism_by_way_of(*heights: float, duration: Span = 1.0) -> ocp.Problem:
 
 
 def arm_by_way_of(side: float) -> ocp.Problem:
-    """An arm leans over by way of a place aside."""
+    """Inclination of an arm through a waypoint at the side."""
     goals = [
         ocp.Waypoint([ocp.NodePositions({1: (0.0, side, None)})], share=0.5),
         ocp.NodePositions({1: (0.4, 0.2, None)}),
@@ -84,7 +84,7 @@ def arm_by_way_of(side: float) -> ocp.Problem:
 
 
 def limited(*bounds: Bound, costs: tuple[Cost, ...] = EFFORT) -> ocp.Problem:
-    """A prism grows within further limits."""
+    """Height change of a prism with additional bounds."""
     asked = free_prism(3, 1.0, 1.1)
     return ocp.Problem(
         asked.model, 1.0, goals=asked.goals, bounds=[*asked.bounds, *bounds], costs=costs
@@ -92,7 +92,7 @@ def limited(*bounds: Bound, costs: tuple[Cost, ...] = EFFORT) -> ocp.Problem:
 
 
 def within(asked: ocp.Problem, *bounds: Bound) -> ocp.Problem:
-    """The problem within further limits."""
+    """Problem with additional bounds."""
     return ocp.Problem(
         asked.model,
         asked.duration,
@@ -103,7 +103,7 @@ def within(asked: ocp.Problem, *bounds: Bound) -> ocp.Problem:
 
 
 def leaning_tower(stages: int) -> ocp.Problem:
-    """A tower whose lowest ring is pinned moves a node of its highest ring sideways."""
+    """Sideways motion of an upper node of a tower with pinned lowest ring."""
     structure, top = tower(stages, 0.8, pinned=range(3)), 3 * stages
     x, y, _ = structure.nodes[top]
     goals = [ocp.NodePositions({top: (x + 0.125 * stages, y, None)}), ocp.AtRest()]
@@ -117,7 +117,7 @@ def leaning_tower(stages: int) -> ocp.Problem:
 
 
 def around(stages: int) -> ocp.Obstacle:
-    """A ball in the straight way of that node."""
+    """Spherical obstacle on the straight path of that node."""
     nodes, top, way = tower(stages, 0.8).nodes, 3 * stages, 0.125 * stages
     return ocp.Obstacle(
         nodes[top] + np.array([0.4, 0.2, -0.2]) * way,
@@ -128,17 +128,20 @@ def around(stages: int) -> ocp.Obstacle:
 
 
 def past_a_ball(stages: int) -> ocp.Problem:
-    """The tower leans without touching the ball."""
+    """Motion of `leaning_tower` that avoids the obstacle."""
     return within(leaning_tower(stages), around(stages))
 
 
 def slowly(stages: int) -> ocp.Problem:
-    """A free tower changes its height, no node faster than within limits."""
+    """Height change of an unsupported tower with limited node velocities."""
     return within(free_tower(stages), slow(0.3 * stages))
 
 
 def short(stages: int) -> ocp.Problem:
-    """A free tower changes its height, and no string is longer on the way than at its ends, but for 1 %."""
+    """Height change of an unsupported tower with limited string lengths.
+
+    The limits are the larger of the initial and final lengths, plus 1 %.
+    """
     longest = np.maximum(*(tower(stages, height).string_lengths for height in (0.8, 0.88)))
     return within(
         free_tower(stages), ocp.Constraint("length", lambda now: now.lengths, upper=1.01 * longest)
@@ -146,7 +149,7 @@ def short(stages: int) -> ocp.Problem:
 
 
 def beside(stages: int) -> ocp.Problem:
-    """The same tower by way of a place beside the ball, slowly."""
+    """Motion of `leaning_tower` through a waypoint beside the obstacle."""
     asked, top, way = leaning_tower(stages), 3 * stages, 0.125 * stages
     x, y, _ = asked.model.scene.structure.nodes[top]
     waypoint = ocp.Waypoint(
@@ -159,7 +162,7 @@ def beside(stages: int) -> ocp.Problem:
 
 
 def quickest(asked: ocp.Problem) -> ocp.Problem:
-    """The problem at the least duration of 0.2 to 2 s; a little effort counts, too."""
+    """Problem with minimum duration, 0.2 to 2 s, and a small cost of effort."""
     return ocp.Problem(
         asked.model,
         (0.2, 2.0),
@@ -170,7 +173,7 @@ def quickest(asked: ocp.Problem) -> ocp.Problem:
 
 
 def loaded(structure: tc.Structure, rise: float, **scene: Any) -> ocp.Problem:
-    """A structure of rings of three, pinned at its feet, lifts its top against a load."""
+    """Lifting of the top of a structure of three-node rings against a load."""
     top = range(len(structure.nodes) - 3, len(structure.nodes))
     goals = [
         ocp.NodePositions({k: (None, None, structure.nodes[k, 2] + rise) for k in top}),
@@ -186,14 +189,14 @@ def loaded(structure: tc.Structure, rise: float, **scene: Any) -> ocp.Problem:
 
 
 def wind(structure: tc.Structure, force: float) -> tc.NodalForce:
-    """Gusts along x on all nodes that stand free."""
+    """Gusts along x as forces on all nodes that are not pinned."""
     free = np.ones((len(structure.nodes), 1))
     free[:3] = 0
     return tc.NodalForce(lambda t: ca.DM(free @ [[force, 0, 0]]) * (1 + 0.5 * ca.sin(6 * t)))
 
 
 def shaken(lift: float) -> ocp.Problem:
-    """A prism whose feet are shaken, and are still again in the end, lifts its top."""
+    """Lifting of a prism's top while its supports move."""
     structure = prism(3, 1.0, pinned=range(3))
     feet = {
         k: (lambda t, x=x, y=y: (x + 0.03 * ca.sin(2 * np.pi * t) ** 2, y, 0.0))
@@ -203,7 +206,7 @@ def shaken(lift: float) -> ocp.Problem:
 
 
 def in_full_coordinates(asked: ocp.Problem) -> ocp.Problem:
-    """The problem of a model in full coordinates."""
+    """Problem of the same model in full coordinates."""
     model = tc.Model(asked.model.scene, coordinates="full")
     return ocp.Problem(
         model, asked.duration, goals=asked.goals, bounds=asked.bounds, costs=asked.costs
@@ -211,7 +214,7 @@ def in_full_coordinates(asked: ocp.Problem) -> ocp.Problem:
 
 
 def reaching_cases() -> Iterator[Case]:
-    """Arms, waypoints, least time."""
+    """Yield problems of arms, waypoints and minimum time."""
     yield Case("arm", "arm leans", partial(reach, 0.4), 1e-4, True)
     yield Case("arm", "arm leans far", partial(reach, -0.7), 1e-4)
     yield Case("arm", "arm leans under its weight", partial(reach, 0.4, True), 1e-4)
@@ -255,7 +258,7 @@ def reaching_cases() -> Iterator[Case]:
 
 
 def constrained_cases() -> Iterator[Case]:
-    """Loads, limits on the way, moved supports, other coordinates, other costs."""
+    """Yield problems with loads, constraints, moving supports and other costs."""
     yield Case(
         "limits", "prism, limited tension", lambda: limited(ocp.TensionLimits(upper=12.0)), 1e-4
     )
@@ -363,5 +366,5 @@ def constrained_cases() -> Iterator[Case]:
 
 
 def slow(limit: float) -> ocp.Constraint:
-    """No node is faster than `limit` m/s."""
+    """Constraint that no node is faster than `limit` m/s."""
     return ocp.Constraint("speed", lambda now: ca.sum1(now.velocities**2).T, upper=limit**2)

@@ -32,7 +32,7 @@ Goals = Sequence[Any]
 
 
 def wavy_control(rng: Rng, strings: int, lower: float, upper: float, intervals: int = 24) -> Any:
-    """Smooth force densities (intervals, strings) well inside their limits."""
+    """Draw smooth force densities (intervals, strings) inside their limits."""
     time = np.linspace(0.0, 1.0, intervals)[:, None]
     level = rng.uniform(0.25, 0.6, strings)
     wave = 0.2 * np.sin(
@@ -48,7 +48,7 @@ def simulated(
     limits: tuple[float, float],
     state: Any = None,
 ) -> tc.Trajectory:
-    """A motion of the model under random force densities within limits."""
+    """Simulate a model under random force densities within limits."""
     control = wavy_control(rng, model.nu, *limits)
     return tc.simulate(
         model,
@@ -62,7 +62,10 @@ def simulated(
 
 
 def end_goals(rng: Rng, model: tc.Model, run: tc.Trajectory) -> Goals:
-    """The places of some nodes, or the lengths of all strings, or the shape, at the end of a motion."""
+    """Draw goals that the end of a simulation meets.
+
+    They are positions of some nodes, the lengths of all strings, or the shape.
+    """
     structure = model.scene.structure
     count = len(structure.nodes)
     nodes = run.nodes[-1][:count]
@@ -93,7 +96,7 @@ def problem(
     start: Any = None,
     bounds: Sequence[Any] = (),
 ) -> ocp.Problem:
-    """The problem at the least effort, within limits of the force densities."""
+    """Build a problem of minimum effort with limits of the force densities."""
     own = [ocp.ForceDensityLimits(*limits), *bounds]
     return ocp.Problem(model, duration, start, goals=goals, bounds=own, costs=EFFORT)
 
@@ -101,7 +104,7 @@ def problem(
 def reaching(
     rng: Rng, model: tc.Model, duration: float, limits: tuple[float, float], state: Any = None
 ) -> ocp.Problem:
-    """Reach the end of a random motion."""
+    """Build the problem of reaching the final state of a random simulation."""
     run = simulated(rng, model, duration, limits, state)
     return problem(model, duration, end_goals(rng, model, run), limits, state)
 
@@ -110,7 +113,7 @@ def reaching(
 
 
 def hung_mass(rng: Rng, anchors: int, mass: float = 0.5) -> tc.Structure:
-    """A point mass on strings from pinned nodes around it."""
+    """Build a point mass on strings to pinned nodes around it."""
     around = rng.normal(size=(anchors, 3))
     around /= np.linalg.norm(around, axis=1)[:, None]
     around = np.vstack([around, -around.mean(axis=0) / (np.linalg.norm(around.mean(axis=0)) + 0.1)])
@@ -126,7 +129,10 @@ def hung_mass(rng: Rng, anchors: int, mass: float = 0.5) -> tc.Structure:
 
 
 def ring(rng: Rng, count: int) -> tc.Structure:
-    """A closed loop of hinged bars in a ring of pinned anchors, two strings to each hinge."""
+    """Build a closed loop of hinged bars with two strings from each hinge.
+
+    The strings lead to a ring of pinned nodes.
+    """
     angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.1, 0.1, count)) / count
     inner = 0.4 * np.column_stack([np.cos(angles), np.sin(angles), 0.1 * rng.normal(size=count)])
     around = 2 * np.pi * (np.arange(count) + 0.5) / count
@@ -143,7 +149,7 @@ def ring(rng: Rng, count: int) -> tc.Structure:
 
 
 def mast(levels: int, rng: Rng) -> tc.Structure:
-    """Bars on top of each other, three guys at the upper end of each."""
+    """Build a chain of bars, with three strings at the upper end of each."""
     nodes: list[Any] = [(0.0, 0.0, 0.8 * j) for j in range(levels + 1)]
     strings, turn = [], rng.uniform(0, 1)
     for joint in range(1, levels + 1):
@@ -155,7 +161,7 @@ def mast(levels: int, rng: Rng) -> tc.Structure:
 
 
 def scaled(structure: tc.Structure, length: float, mass: float) -> tc.Structure:
-    """The structure in other units of length and mass."""
+    """Convert a structure to other units of length and mass."""
     return tc.Structure(
         structure.nodes * length,
         structure.bars,
@@ -225,7 +231,7 @@ def closed_loops(seed: int) -> ocp.Problem:
 
 
 def redundant_bars(seed: int) -> ocp.Problem:
-    """More bars than the joints leave free, in reduced or full coordinates."""
+    """Structures with redundant bars, in reduced or full coordinates."""
     rng = np.random.default_rng(300 + seed)
     corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
     nodes = np.vstack([0.25 * corners * rng.uniform(0.7, 1.2), corners])
@@ -255,7 +261,7 @@ def redundant_bars(seed: int) -> ocp.Problem:
 
 
 def moving_supports(seed: int) -> ocp.Problem:
-    """Supports that move and come back, at fixed and at free durations."""
+    """Supports that move and return, with fixed or free duration."""
     rng = np.random.default_rng(400 + seed)
     size, turns = rng.uniform(0.03, 0.1), int(rng.integers(1, 3))
     axis = int(rng.integers(3))
@@ -281,7 +287,7 @@ def moving_supports(seed: int) -> ocp.Problem:
 
 
 def units(seed: int) -> ocp.Problem:
-    """Structures in mm and g, in µm, in km and t."""
+    """Structures in units of mm and g, µm, or km and t."""
     rng = np.random.default_rng(500 + seed)
     length, mass = ((1e3, 1e3), (1e-3, 1e-3), (1e-3, 1e6), (1e6, 1e9))[seed % 4]
     structure = prism(int(rng.integers(3, 5)), 1.0)
@@ -291,7 +297,7 @@ def units(seed: int) -> ocp.Problem:
 
 
 def mass_ratios(seed: int) -> ocp.Problem:
-    """Masses a million times apart."""
+    """Structures with mass ratios of a million."""
     rng = np.random.default_rng(600 + seed)
     structure = prism(int(rng.integers(3, 5)), 1.0, pinned=range(3) if seed % 2 else ())
     masses = 10 ** rng.uniform(-3, 3, len(structure.nodes))
@@ -306,7 +312,7 @@ def mass_ratios(seed: int) -> ocp.Problem:
 
 
 def large_turns(seed: int) -> ocp.Problem:
-    """Free structures that turn far."""
+    """Large rotations of unsupported structures."""
     rng = np.random.default_rng(700 + seed)
     flat = seed % 3 == 0
     if flat:
@@ -325,7 +331,7 @@ def large_turns(seed: int) -> ocp.Problem:
 
 
 def swing_ups(seed: int) -> ocp.Problem:
-    """Hanging bars that swing up, and stand still there in the end."""
+    """Swing-up of hanging bars to the upright position at rest."""
     rng = np.random.default_rng(800 + seed)
     bars = 1 + seed % 2
     nodes: list[Any] = [(0.0, 0.0, -float(k)) for k in range(bars + 1)]
@@ -420,7 +426,7 @@ def phases(seed: int) -> ocp.Problem:
 
 
 def contact(seed: int) -> ocp.Problem:
-    """Jumps and shape changes on a ground that gives way."""
+    """Jumps and shape changes on a compliant ground."""
     rng = np.random.default_rng(1300 + seed)
     if seed % 3 == 0:
         return contact_problems.prism_jumps(
@@ -437,7 +443,7 @@ def contact(seed: int) -> ocp.Problem:
 
 
 def waypoints(seed: int) -> ocp.Problem:
-    """Places and shapes on the way, obstacles, limits of tensions."""
+    """Waypoints with positions and shapes, obstacles, and tension limits."""
     rng = np.random.default_rng(1400 + seed)
     feet = range(3) if seed % 2 else ()
     model = driven(prism(int(rng.integers(3, 5)), 1.0, pinned=feet))
@@ -454,7 +460,7 @@ def waypoints(seed: int) -> ocp.Problem:
 
 
 def caught(seed: int) -> ocp.Problem:
-    """Structures that fly, and are still, or have a shape, when they arrive."""
+    """Structures in flight whose final state is at rest or has a given shape."""
     rng = np.random.default_rng(1500 + seed)
     structure = prism(3, 0.9) if seed % 2 else six_bar_ball(1.0)
     model = driven(structure, gravity=tc.Gravity() if seed % 3 else None)
