@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from ocp.problem.phase import find_node_coordinates
 from ocp.transcription.contact_set import ContactSet
 from ocp.transcription.sparse_nlp import Block, split_symbol
 from ocp.transcription.variables import Variables
@@ -59,7 +58,7 @@ def height_blocks(
     They remain above all grounds that act on them. Nodes that land at the end of the phase are on
     the ground there.
     """
-    size, coordinates = v.scales.length, find_node_coordinates(v.model)
+    size, coordinates = v.scales.length, v.model.entries
     blocks = []
     for ground in grounds:
         acts = ground.select_nodes(v.model.scene.structure).tolist()

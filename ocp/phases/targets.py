@@ -11,7 +11,6 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from ocp.problem.phase import find_node_coordinates
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.problem.start import FreeStart
@@ -87,7 +86,7 @@ def _without_standing(
     """
     if not target.count or not stands or target.state is None:
         return target
-    model, places = part.model, find_node_coordinates(part.model)
+    model, places = part.model, part.model.entries
     x = ca.SX.sym("x", model.nx)
     kept = model.constraints(x)
     gradients = ca.Function(

@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any
 
 import casadi as ca
-import numpy as np
 
 from ocp.problem.bounds.bound import Bound, RateBound
 from ocp.problem.costs import Cost
@@ -22,7 +21,6 @@ from tenscasadi.util.renamed import rename_fields
 from tenscasadi.util.validate import (
     Array,
     IndexOrName,
-    Indices,
     as_tuple,
     check_indices,
     index_or_name,
@@ -140,16 +138,6 @@ def phases_between(
         goals = waypoints[k].goals if k < len(waypoints) else ()
         phases.append(Phase(span, goals=goals, end_time=(earliest, latest)))
     return tuple(phases)
-
-
-def find_node_coordinates(model: Model) -> Indices:
-    """Find the indices (n, 3) of node coordinates in the state.
-
-    Pinned coordinates have −1.
-    """
-    found = np.full(3 * len(model.mechanism.physical), -1, dtype=np.intp)
-    found[model.mechanism.free_index] = np.arange(model.nq)
-    return found.reshape(-1, 3)
 
 
 def reject_phases(phases: Sequence[Phase], user: str) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ocp.problem.phase import Phase, find_node_coordinates
+from ocp.problem.phase import Phase
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.validate import Array, Indices
 
@@ -60,7 +60,7 @@ def split_motion(model: Model, states: Array, phases: Sequence[Phase]) -> list[M
     if not (phases and scene.grounds):
         return [MotionSpan(model, np.arange(model.nx), 0, intervals)]
     ends = np.linspace(0, intervals, len(phases) + 1).astype(int)
-    coordinates = find_node_coordinates(model)
+    coordinates = model.entries
     spans = []
     for phase, first, last in zip(phases, ends[:-1], ends[1:], strict=True):
         nodes = model.nodes(states[first])[: len(scene.structure.nodes)]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.problem.phase import find_node_coordinates
 from ocp.transcription.variables import Variables, name_states
 from tenscasadi.util.validate import Array, Indices
 
@@ -50,7 +49,7 @@ def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Ar
     them. `reactions` (3s,) is the initial guess of the reactions [N].
     """
     nq = v.model.nq
-    held = find_node_coordinates(v.model)[list(stands)].ravel()
+    held = v.model.entries[list(stands)].ravel()
     force = v.scales.mass * v.scales.length / v.scales.time**2
     arriving = impulses = np.zeros(0, dtype=np.intp)
     v.entries.leave_out(v.states[1:, np.concatenate([held, nq + held])])

@@ -33,7 +33,7 @@ class MotionResidual(NamedTuple):
         Shift of the bounds of all constraints that removes the residual, to first order.
     states : ndarray or None
         States (K + 1, nx) of fine steps along the whole plan.
-    departure : ndarray or float
+    velocity_shift : ndarray or float
         Difference of the initial velocities (K, nq) that connect mesh points in fine steps from the
         planned ones [m/s].
     """
@@ -42,7 +42,7 @@ class MotionResidual(NamedTuple):
     size: float
     shift: Array
     states: Array | None
-    departure: Array | float = 0.0
+    velocity_shift: Array | float = 0.0
 
 
 # of unknowns w, and of the residual of a solution nearby
@@ -168,7 +168,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     def measure(w: Array, near: MotionResidual | None = None) -> MotionResidual:
         states, held, duration = fine.planned(w)
         planned, leaving = states[:, nq : 2 * nq], states[:-1].copy()
-        leaving[:, nq : 2 * nq] += 0.0 if near is None else near.departure
+        leaving[:, nq : 2 * nq] += 0.0 if near is None else near.velocity_shift
         arrived = leave(leaving, states[1:, :nq], held, duration * fractions)
         left = leaving[:, nq : 2 * nq]
         at_ends = np.vstack([left[:1] - planned[:1], arrived[-1:] - planned[-1:]])
@@ -178,7 +178,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
         for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
             moved = duration * momentum(jump.T).full().ravel(order="F")
             shift[rows] = -moved / program.scale[rows]
-        return _build_residual(fine, w, shift)._replace(departure=left - planned[:-1])
+        return _build_residual(fine, w, shift)._replace(velocity_shift=left - planned[:-1])
 
     return measure
 
