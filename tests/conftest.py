@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shlex
 import shutil
@@ -40,6 +41,13 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[SHARED] = folder.name
     os.environ["TENSCASADI_CACHE"] = os.environ[SHARED]
     use_quick_compiler(Path(os.environ[SHARED]))
+
+
+def pytest_collection_finish() -> None:
+    """Look for cyclic garbage rarely, and never among modules and tests: 5 % of the time."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000)
 
 
 def use_quick_compiler(folder: Path) -> None:
