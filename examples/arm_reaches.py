@@ -1,4 +1,4 @@
-"""An arm, hinged to the ground and held by four strings, reaches a point, round a ball that stands in its way.
+"""A hinged arm with four strings reaches a point and avoids a ball in its path.
 
 Run it with a folder for the pictures: python examples/arm_reaches.py pictures
 """
@@ -20,7 +20,7 @@ BALL, RADIUS = (0.0, -0.05, 0.9), 0.25  # m
 
 
 def arm() -> tc.Structure:
-    """Node 0: shoulder on the ground, 1: hand; nodes 2-5: winches on the ground."""
+    """Build the arm: node 0 is its hinge, 1 its tip, 2-5 the string anchors."""
     nodes = [
         (0, 0, 0),
         (-0.6, 0.1, np.sqrt(1 - 0.37)),
@@ -35,7 +35,7 @@ def arm() -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
-    """Prints both plans, with and without the ball, saves the pictures, and returns the plans."""
+    """Print both plans, with and without the ball, save pictures, and return the plans."""
     folder.mkdir(parents=True, exist_ok=True)
     structure = arm()
     model = tc.Model(tc.Scene(structure, control=tc.ForceDensity(), gravity=tc.Gravity()))
@@ -66,7 +66,7 @@ def main(folder: Path = Path()) -> dict[str, ocp.Plan]:
 
 
 def draw_ball(axes: Any) -> None:
-    """The ball, as a net that lets the arm shine through."""
+    """Draw the ball as a transparent net."""
     around, down = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(0, np.pi, 13))
     x, y, z = np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)
     axes.plot_wireframe(
@@ -78,7 +78,7 @@ def draw_ball(axes: Any) -> None:
 
 
 def nearest(motion: tc.Trajectory) -> float:
-    """The least distance of the bars from the ball's center."""
+    """Compute the smallest distance of the bars from the ball's center [m]."""
     least = np.inf
     for a, b in motion.bars:
         start, along = motion.nodes[:, a], motion.nodes[:, b] - motion.nodes[:, a]

@@ -1,7 +1,7 @@
-"""A ball of six bars rolls down a hilly slope, bumps into a wall, and comes to rest in a hollow.
+"""A ball of six bars rolls down a hilly slope, hits a wall, and comes to rest in a hollow.
 
-The ground is two surfaces: a height field, bilinear between the points of a grid, with friction
-along it; and a wall.
+There are two grounds: a height field, bilinear between the points of a grid, with friction; and a
+wall.
 
 Run it with a folder for the picture: python examples/ball_on_terrain.py pictures
 """
@@ -28,7 +28,7 @@ WALL = 0.6  # m, where it stands
 
 
 def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Terrain, tc.Trajectory]:
-    """Prints what becomes of the ball, saves a picture, and returns the height field and the motion."""
+    """Print the motion of the ball, save a picture, and return height field and trajectory."""
     folder.mkdir(parents=True, exist_ok=True)
     field = hills(41 if quick else 161)
     ball = tc.shapes.six_bar_ball(stiffness=2000.0, damping=10.0, prestress=200.0)
@@ -60,7 +60,7 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[tc.Terrain, tc.Tra
 
 
 def hills(points: int) -> tc.Terrain:
-    """A slope of 22 % with waves in it."""
+    """Build a height field of 22 % slope with waves."""
     x, y = (
         np.linspace(-LENGTH / 2, LENGTH / 2, points)[:, None],
         np.linspace(-WIDTH / 2, WIDTH / 2, points // 2 + 1),

@@ -1,9 +1,9 @@
-"""A ball of six bars rolls one face over: force densities that tip it over an edge and bring it to rest, in its own shape, on the face beyond.
+"""A ball of six bars rolls over an edge onto the next face, where it comes to rest in its initial shape.
 
-Gravity and a soft ground with friction (a mat: the ball stands 2 cm deep in it; slip is damped,
-rather than rubbed, below 0.3 m/s). The first guess is a simulation: winding two strings to half and
-to a third of their lengths, and back, makes an elastic ball fall over somehow. Of all plans the
-solver gives the first that it comes to: nothing is asked of its cost.
+The plan consists of force densities. Gravity acts, and the ground is compliant with friction: the
+ball stands 2 cm deep in it, and friction is viscous below 0.3 m/s. The initial guess is a
+simulation, in which two strings shorten to a half and a third of their lengths and back, so that an
+elastic ball falls over. The plan is feasible, without a cost.
 
 Run it with a folder for the pictures: python examples/ball_rolls.py pictures
 """
@@ -42,7 +42,10 @@ STIFFNESS = 1000.0  # N/m, of the ground
 
 
 def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Trajectory]:
-    """Prints the plan and where its replay comes to stand, saves the pictures, and returns the plan and two seconds after its replay."""
+    """Print the plan and the final position of its replay, save pictures, and return both.
+
+    The returned trajectory continues for two seconds after the plan.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     ball = standing(tc.shapes.six_bar_ball(stiffness=1000.0, damping=5.0, prestress=100.0))
     scene = tc.Scene(
@@ -112,7 +115,10 @@ def main(folder: Path = Path(), quick: bool = False) -> tuple[ocp.Plan, tc.Traje
 
 
 def standing(ball: tc.Structure) -> tc.Structure:
-    """The ball, centered at the origin, turned to stand on the ground z = 0; x points from node BEHIND over EDGE."""
+    """Rotate the ball so that it stands on the ground z = 0.
+
+    Its center is at x = y = 0. The x axis points from node BEHIND over EDGE.
+    """
     edge, behind = ball.nodes[list(EDGE)], ball.nodes[BEHIND]
     down, ahead = edge.sum(axis=0) + behind, edge.mean(axis=0) - behind
     x, z = ahead / np.linalg.norm(ahead), -down / np.linalg.norm(down)
@@ -121,7 +127,7 @@ def standing(ball: tc.Structure) -> tc.Structure:
 
 
 def winding(ball: tc.Structure) -> np.ndarray:
-    """Rest lengths (100, α) over DURATION."""
+    """Compute the rest lengths (100, α) [m] over DURATION for the initial guess."""
     wound = np.interp(np.linspace(0, DURATION, 100), (0.0, *WOUND), (0.0, 1.0, 1.0, 0.0))
     change = np.zeros(len(ball.strings))
     change[list(TIPPING)] = np.array(list(TIPPING.values())) - 1
@@ -129,13 +135,13 @@ def winding(ball: tc.Structure) -> np.ndarray:
 
 
 def string_lengths(motion: tc.Trajectory) -> np.ndarray:
-    """Lengths (α,) at the end, m."""
+    """Compute the final string lengths (α,) [m]."""
     ends = motion.nodes[-1][motion.strings]
     return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
 
 def film(motion: tc.Trajectory, path: Path, instants: int = 6) -> None:
-    """Side views at equal intervals of time."""
+    """Draw side views at equal time intervals."""
     figure = Figure(figsize=(9.6, 6.0), layout="constrained")
     panels = figure.subplots(2, instants // 2, sharex=True, sharey=True)
     face = [*EDGE, AHEAD]

@@ -1,10 +1,10 @@
-"""A ball of six bars travels over flat ground and up and down 10°, steered 20 times a second by sampled motions (`ocp.Mppi`).
+"""A ball of six bars travels over flat ground, uphill and downhill by 10°, controlled by `ocp.Mppi` at 20 Hz.
 
-Nothing is planned, and no derivative is taken: contact and friction are simulated as they are. The
-controller is told to move at 0.7 m/s, straight on, and to keep its height and shape. It is wrong
-about its world: the ball is a tenth heavier than it believes, the ground three times stiffer and
-more slippery. It knows the slope. Force densities do not hold the ball's shape by themselves: left
-alone it collapses within half a second.
+There is no plan and no derivative: the controller simulates contact and friction. The goal is a
+speed of 0.7 m/s straight ahead with constant height and shape. The controller's model has errors:
+the ball is a tenth heavier, the ground three times stiffer and more slippery than in the model. The
+slope is known. Constant force densities do not stabilize the ball: it would collapse within half a
+second.
 
 Run it with a folder for the picture: python examples/ball_travels.py pictures
 """
@@ -36,7 +36,7 @@ ACTUAL = {"mass": 1.1, "stiffness": 3000.0, "friction": 0.6}
 
 
 class Row(NamedTuple):
-    """A run: slope in degrees, distances ahead and aside, m, and seconds of its decisions."""
+    """Result of a run: slope [°], distances ahead and aside [m], and computation times."""
 
     slope: float
     ahead: float
@@ -46,7 +46,7 @@ class Row(NamedTuple):
 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
-    """Prints how far the ball comes and what a decision costs, saves the picture, and returns a row for each slope."""
+    """Print distances and computation times, save a picture, and return a row per slope."""
     folder.mkdir(parents=True, exist_ok=True)
     start = standing_still()
     rows = []
@@ -65,7 +65,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
 def world(
     slope: float, mass: float, stiffness: float, friction: float, control: Any = None
 ) -> tc.Model:
-    """The ball on a ground that rises along x: gravity is tilted instead."""
+    """Build a model of the ball on a slope along x; gravity is tilted instead."""
     ball = tc.shapes.six_bar_ball(stiffness=3000.0, damping=5.0, prestress=USUAL, bar_mass=mass)
     edge, behind = ball.nodes[list(EDGE)], ball.nodes[BEHIND]
     down, ahead = edge.sum(axis=0) + behind, edge.mean(axis=0) - behind
@@ -87,13 +87,13 @@ def world(
 
 
 def standing_still() -> np.ndarray:
-    """The nodes of the elastic ball at rest on flat ground."""
+    """Compute the nodes of the elastic ball at rest on flat ground."""
     elastic = world(0.0, **BELIEVED)
     return np.asarray(tc.simulate(elastic, 3.0, 5e-4, correction=tc.Projection(every=10)).nodes[-1])
 
 
 def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
-    """One run of the ball from rest."""
+    """Simulate one run of the ball from rest."""
     believed, actual = (
         world(slope, **given, control=tc.ForceDensity()) for given in (BELIEVED, ACTUAL)
     )
@@ -118,7 +118,7 @@ def travel(slope: float, nodes: np.ndarray, duration: float) -> Row:
 
 
 def draw(rows: list[Row], path: Path, instants: int = 5) -> None:
-    """Side views of each run at equal intervals of time, and the way of the center."""
+    """Draw side views of each run at equal intervals, and the path of the center."""
     figure = Figure(figsize=(9.6, 3.9 * len(rows) + 0.6), layout="constrained")
     for ax, row in zip(np.ravel(figure.subplots(len(rows), 1, sharex=True)), rows, strict=True):
         angle, motion = np.radians(row.slope), row.motion

@@ -1,4 +1,4 @@
-"""A prism winds in the strings of its triangles, until its three bars of 8 cm thickness touch; without contact they pass into each other.
+"""A prism shortens its triangle strings until its bars, 8 cm thick, touch; without contact they intersect.
 
 Run it with a folder for the picture: python examples/bars_touch.py pictures
 """
@@ -21,7 +21,7 @@ RAMP, T_END = 1.5, 2.0  # s
 
 
 def measure_distance(nodes: np.ndarray, bars: np.ndarray) -> np.ndarray:
-    """Least distance [m] of the axes of two bars, for nodes (T, n, 3)."""
+    """Compute the smallest distance [m] between the axes of bars for nodes (T, n, 3)."""
     found = []
     for pair in combinations(range(len(bars)), 2):
         ends = Segments(*(nodes[:, node].T for node in bars[list(pair)].ravel()))
@@ -31,7 +31,7 @@ def measure_distance(nodes: np.ndarray, bars: np.ndarray) -> np.ndarray:
 
 
 def main(folder: Path = Path()) -> dict[str, np.ndarray]:
-    """Prints and draws the distance of the bars with and without contact, and returns both."""
+    """Print and draw the distance of the bars with and without contact, and return both."""
     folder.mkdir(parents=True, exist_ok=True)
     s = tc.shapes.prism(stiffness=300.0, prestress=30.0, damping=2.0, bar_radius=RADIUS)
     found, figure = {}, plt.figure(figsize=(7, 3), layout="constrained")

@@ -1,4 +1,4 @@
-"""Steps per second of RK4: compiled, in CasADi's virtual machine, and a plain NumPy port of the same formulas, side by side in one run."""
+"""Steps per second of RK4: compiled, in CasADi's virtual machine, and in NumPy."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEPS = {"compiled": 200_000, "virtual machine": 20_000, "NumPy": 2_000}
 
 
 class Row(NamedTuple):
-    """Steps per second of one scene; None where there is no C compiler."""
+    """Steps per second of one scene; None without a C compiler."""
 
     scene: str
     compiled: float | None
@@ -31,7 +31,10 @@ class Row(NamedTuple):
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Measures, prints the table and returns its rows. `quick`: a tenth of the steps, once instead of five times."""
+    """Measure, print the table, and return its rows.
+
+    With `quick`, it takes a tenth of the steps once instead of five times.
+    """
     shapes = {
         "prism": tc.shapes.prism(stiffness=1000.0, prestress=30.0),
         "six-bar ball": tc.shapes.six_bar_ball(stiffness=1000.0, prestress=30.0),
@@ -56,7 +59,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def measure(scene: str, model: tc.Model, quick: bool) -> Row:
-    """Medians of runs that take turns, so that all meet the same load of the machine."""
+    """Measure the median times of alternating runs of all variants."""
     start = model.state(
         model.structure.nodes,
         0.1 * np.random.default_rng(0).normal(size=model.structure.nodes.shape),
@@ -99,7 +102,7 @@ def measure(scene: str, model: tc.Model, quick: bool) -> Row:
 
 
 def numpy_rhs(model: tc.Model) -> Callable[[np.ndarray], np.ndarray]:
-    """ẋ of a free class-1 structure as one writes it in NumPy: constant matrices once, then a dozen array operations (Eqs. 46, 94-99)."""
+    """Build ẋ of an unsupported class-1 structure in NumPy (Eqs. 46, 94-99)."""
     s = model.structure
     n = len(s.nodes)
     C_b, C_s = s.C_b, s.C_s
@@ -127,7 +130,7 @@ def numpy_rhs(model: tc.Model) -> Callable[[np.ndarray], np.ndarray]:
 def numpy_rk4(
     rhs: Callable[[np.ndarray], np.ndarray], x: np.ndarray, h: float, steps: int
 ) -> np.ndarray:
-    """`steps` steps of the classical Runge-Kutta method."""
+    """Take `steps` steps of the classical Runge-Kutta method."""
     for _ in range(steps):
         k1 = rhs(x)
         k2 = rhs(x + 0.5 * h * k1)

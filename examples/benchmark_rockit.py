@@ -1,10 +1,10 @@
-"""Against rockit: same problem, same model expression, same grid and start, IPOPT for both; seconds and replay errors.
+"""Comparison with rockit: times and replay errors of the same problem by IPOPT.
 
-Both are shown twice: with IPOPT's options as they come, and with those that this package chooses.
-rockit gets what it cannot know: the rows of the goals without those that repeat what bars and
-momenta keep (with all of them no solver converges), and the guess. (Its DirectCollocation cannot
-take a guess in version 0.6.7.) Install it by `pip install rockit-meco`; without it the example says
-so.
+Both packages use the same model expression, mesh and initial guess, each with IPOPT's default
+options and with those that this package selects. rockit receives the initial guess and the goal
+constraints without the redundant ones, which follow from bars and momenta; with all of them no
+solver converges. (Its DirectCollocation cannot take a guess in version 0.6.7.) Install it by `pip
+install rockit-meco`; without it the example reports that it is missing.
 """
 
 from __future__ import annotations
@@ -45,7 +45,11 @@ AS_IT_COMES = {
 
 
 class Row(NamedTuple):
-    """Seconds include building; the replay error is the largest distance from the goal, m, after steps ten times finer than the intervals."""
+    """Time of a plan, including building, and its replay error.
+
+    The error is the largest distance from the goal [m] after steps ten times finer than the
+    intervals.
+    """
 
     name: str
     options: str
@@ -56,7 +60,7 @@ class Row(NamedTuple):
 
 
 def problem() -> ocp.Problem:
-    """A prism is raised from 1 m to 1.1 m in a second, from rest to rest, at the least effort."""
+    """Height change of a prism from 1 m to 1.1 m in a second, at minimum effort."""
 
     def prism(height: float) -> tc.Structure:
         return tc.shapes.prism(
@@ -71,7 +75,7 @@ def problem() -> ocp.Problem:
 
 
 def ours(name: str, transcription: Transcription, options: dict[str, Any] | None = None) -> Row:
-    """A plan of this package, with its own choice of options or with others."""
+    """Solve the problem by this package, with default or given options."""
     plan = ocp.solve(problem(), transcription, ocp.Ipopt(options=options or {}))
     return Row(
         name,
@@ -84,7 +88,7 @@ def ours(name: str, transcription: Transcription, options: dict[str, Any] | None
 
 
 def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None = None) -> Row:
-    """A plan of rockit, replayed as ours are; IPOPT's options as they come, or others."""
+    """Solve the problem by rockit, and replay the plan."""
     asked = problem()
     model, count = asked.model, method.N
     began = time.perf_counter()
@@ -121,13 +125,13 @@ def theirs(rockit: Any, name: str, method: Any, options: dict[str, Any] | None =
 
 
 def repeated(make: Callable[[], Row], repeats: int) -> Row:
-    """The row with the median seconds of several runs."""
+    """Select the row with the median time of several runs."""
     rows = [make() for _ in range(repeats)]
     return rows[0]._replace(seconds=median(row.seconds for row in rows))
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Prints the table and returns its rows; those of rockit are missing where it is not installed."""
+    """Print the table and return its rows; those of rockit are omitted without it."""
     count, repeats = (8, 1) if quick else (60, 3)
     ours("warm-up", ocp.Variational(5))
     transcriptions = {

@@ -42,7 +42,7 @@ HEIGHT = 0.01  # m, of the lowest node above the ground
 
 
 class Row(NamedTuple):
-    """What was compared, trajectory steps per second of both, and the median of their ratio."""
+    """Name of a comparison, steps per second of both, and the median of their ratio."""
 
     name: str
     ours: float
@@ -51,7 +51,7 @@ class Row(NamedTuple):
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Measures, prints the table and returns its rows. `quick`: few motions, once."""
+    """Measure, print the table, and return its rows. With `quick`, few runs."""
     n, repeats = (64, 1) if quick else (4096, 3)
     structure = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=50.0)
     structure = structure.replace(
@@ -83,7 +83,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def throw(model: tc.Model, n: int) -> np.ndarray:
-    """States (n, nx) with random velocities that bars allow."""
+    """Draw states (n, nx) with random velocities that satisfy the bars."""
     rng = np.random.default_rng(0)
     nodes = model.structure.nodes
     rough = np.array([model.state(nodes, rng.normal(0.0, 0.1, nodes.shape)) for _ in range(n)])
@@ -91,7 +91,7 @@ def throw(model: tc.Model, n: int) -> np.ndarray:
 
 
 def roll(model: tc.Model, starts: np.ndarray, **options: Any) -> Callable[[], Any]:
-    """A call of `rollouts` whose every motion arrives."""
+    """Build a call of `rollouts` that checks the success of all runs."""
 
     def run() -> None:
         assert tc.rollouts(model, STEPS * STEP, STEP, starts, **options).success.all()
@@ -108,7 +108,7 @@ def compare(
     repeats: int,
     clock: Callable[[], float] = time.process_time,
 ) -> Row:
-    """Run both by turns, after once to compile."""
+    """Measure two programs alternately, after a first call that compiles."""
     ours(), other()
     rates = []
     for _ in range(repeats):
@@ -130,7 +130,7 @@ def compare(
 def against_simulate(
     model: tc.Model, starts: np.ndarray, correction: tc.Projection | None, repeats: int, quick: bool
 ) -> list[Row]:
-    """One thread against `simulate`, with all lanes and with fewer."""
+    """Compare `rollouts` in one thread with `simulate`, for several lane numbers."""
     n, count = len(starts), 2_000 if quick else 50_000
     with_it = ", with Projection" if correction else ""
 
@@ -163,7 +163,7 @@ def against_simulate(
 
 
 def against_double(model: tc.Model, starts: np.ndarray, place: str, repeats: int) -> Row:
-    """One thread in single precision, against double precision."""
+    """Compare single with double precision in one thread."""
     steps = len(starts) * STEPS
     single, double = (roll(model, starts, threads=1, compiled=how) for how in (tc.Single(), None))
     name = f"rollouts in single precision {place}, against double"
@@ -171,7 +171,7 @@ def against_double(model: tc.Model, starts: np.ndarray, place: str, repeats: int
 
 
 def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[Row]:
-    """One thread against `mujoco.rollout`, flying and on the ground."""
+    """Compare one thread with `mujoco.rollout`, in flight and on the ground."""
     try:
         mujoco, rollout = import_module("mujoco"), import_module("mujoco.rollout")
     except ImportError:
@@ -212,7 +212,7 @@ def against_mujoco(s: tc.Structure, n: int, repeats: int, quick: bool) -> list[R
 
 
 def mujoco_model(mujoco: Any, scene: tc.Scene, integrator: str) -> Any:
-    """What MuJoCo makes of a scene."""
+    """Convert a scene to a MuJoCo model."""
     with TemporaryDirectory() as folder:
         model = mujoco.MjModel.from_xml_path(
             str(tc.export_mjcf(scene, Path(folder) / "scene.xml", step=STEP))
@@ -222,7 +222,7 @@ def mujoco_model(mujoco: Any, scene: tc.Scene, integrator: str) -> Any:
 
 
 def stiffnesses(structure: tc.Structure, values: int, models: int) -> Row:
-    """Motions of so many values of stiffness by one parameter, and by one model for each, of which a few are built."""
+    """Compare runs of many stiffness values by one parameter and by separate models."""
     scales = np.linspace(0.5, 2.0, values)[:, None]
 
     def clocked(run: Callable[[], Any]) -> float:

@@ -1,7 +1,8 @@
-"""What exact derivatives of a run cost, in runs: forward, a tangent for each input, adjoint, all inputs at once, and central differences.
+"""Cost of exact derivatives of a run: forward, adjoint, and by central differences.
 
-All are of the same steps, so that differences show what finite differences lose: much where the
-motion is unstable, as of a ball that stands on an edge.
+Costs are in units of the time of a run. All derivatives are of the same steps, so that differences
+show the error of finite differences, which is large for unstable motions, such as a ball on an
+edge.
 """
 
 from __future__ import annotations
@@ -16,7 +17,11 @@ import tenscasadi as tc
 
 
 class Row(NamedTuple):
-    """Seconds of a run, and what derivatives of its end by its start cost in runs: of the whole state, and of one number. differ: relative."""
+    """Seconds of a run, costs of its derivatives in runs, and their relative difference.
+
+    Derivatives are those of the whole final state, and of one number, with respect to the initial
+    state.
+    """
 
     name: str
     inputs: int
@@ -27,7 +32,7 @@ class Row(NamedTuple):
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Prints the table and returns its rows. `quick`: one model, a short run, nothing compiled."""
+    """Print the table and return its rows. With `quick`, one model and a short run."""
     prism = tc.shapes.prism(stiffness=1000.0, prestress=50.0)
     ball = tc.shapes.six_bar_ball(stiffness=1000.0, prestress=100.0, damping=1.0)
     scenes = {
@@ -65,7 +70,7 @@ def measure(
     t_end: float,
     compiled: bool | None,
 ) -> Row:
-    """One row of the table, medians of nine."""
+    """Measure one row of the table, as medians of nine."""
     start = model.initial_state
 
     def run(state: np.ndarray) -> tc.Trajectory:
@@ -100,7 +105,7 @@ def measure(
 
 
 def squares(x: ca.MX, u: ca.MX) -> ca.MX:
-    """One number at the end of a run."""
+    """Build a scalar output of the final state."""
     return ca.sumsqr(x)
 
 

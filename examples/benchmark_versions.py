@@ -43,7 +43,7 @@ def clock(function: Callable[[], Any]) -> float:
 
 
 def measure(name: str) -> float:
-    """Measure one entry of the table in the version of this interpreter."""
+    """Measure one entry of the table with the version of this interpreter."""
     kind, _, what = name.partition(", ")
     return measure_plan(what) if kind == "plan" else measure_motion(kind, what)
 

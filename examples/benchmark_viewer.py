@@ -51,7 +51,10 @@ for (const context of [WebGL2RenderingContext, WebGLRenderingContext])
 
 
 class Row(NamedTuple):
-    """One motion, played one way: frames a second drawn, ms of processor time that each takes, and the seconds from opening the page to the first."""
+    """Result for one trajectory: frame rate, time per frame, and time to the first frame.
+
+    The time per frame is processor time [ms]. The last one is in seconds from opening the page.
+    """
 
     name: str
     members: int
@@ -62,7 +65,7 @@ class Row(NamedTuple):
 
 
 def ball(seconds: float) -> tc.Trajectory:
-    """A six-bar ball that is thrown and rolls on the ground."""
+    """Simulate a six-bar ball that is thrown and rolls on the ground."""
     structure = tc.shapes.six_bar_ball(prestress=50.0, stiffness=1000.0, damping=2.0)
     scene = tc.Scene(
         structure,
@@ -75,7 +78,7 @@ def ball(seconds: float) -> tc.Trajectory:
 
 
 def tower(seconds: float) -> tc.Trajectory:
-    """A tower of 100 prisms, 300 bars, that sways."""
+    """Simulate the vibration of a tower of 100 prisms with 300 bars."""
     structure = chain(100)
     model = tc.Model(tc.Scene(structure))
     height = structure.nodes[:, 2] / structure.nodes[:, 2].max()
@@ -85,7 +88,7 @@ def tower(seconds: float) -> tc.Trajectory:
 
 
 def many_rows(seconds: float) -> tc.Trajectory:
-    """A tower of 17 prisms, 51 bars, that falls over; 1000 rows per second."""
+    """Simulate the fall of a tower of 17 prisms, with 1000 rows per second."""
     structure = tc.shapes.prism_tower(stages=17, prestress=50.0, stiffness=1000.0, damping=1.0)
     scene = tc.Scene(structure, gravity=tc.Gravity((0, 0, -1.0)), ground=tc.Ground(height=-0.1))
     return tc.simulate(
@@ -186,7 +189,7 @@ def processor_parts(parent: int) -> dict[str, float]:
 
 
 def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]:
-    """Frames a second that a page draws, their cost, ms, and the seconds until the first one."""
+    """Measure the frame rate of a page, its cost [ms], and the time to the first frame [s]."""
     page = browser.new_page(viewport=SIZE)
     page.set_default_timeout(120_000)
     page.add_init_script(COUNT)
@@ -208,7 +211,7 @@ def frames(browser: Any, url: str, seconds: float) -> tuple[float, float, float]
 
 @contextlib.contextmanager
 def open_browser() -> Iterator[Any]:
-    """A headless browser that draws in software."""
+    """Open a headless browser that draws in software."""
     from playwright.sync_api import sync_playwright
 
     path = (

@@ -1,4 +1,4 @@
-"""A prism is thrown into a frame, tumbling. Strings to the corners of the frame catch it, without a jerk, and hold it still.
+"""A tumbling prism flies into a frame, whose strings catch it smoothly and bring it to rest.
 
 Run it with a folder for the picture: python examples/catch_prism.py pictures
 """
@@ -22,7 +22,7 @@ WEIGHT = 3 * 0.5 * 9.81  # N
 
 
 def prism_in_frame() -> tc.Structure:
-    """Nodes 0 to 5: prism; 6 to 9 and 10 to 13: upper and lower corners of the frame."""
+    """Build prism and frame: nodes 0-5 are the prism, 6-9 and 10-13 the frame's corners."""
     prism = tc.shapes.prism(radius=0.3, height=0.5)
     square = FRAME * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     corners = [np.column_stack([square, np.full(4, z)]) for z in (HEIGHT, 0.0)]
@@ -38,7 +38,7 @@ def prism_in_frame() -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what it catches, saves the picture, and returns the plan."""
+    """Print the plan and the motion, save a picture, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     structure = prism_in_frame()
     model = tc.Model(tc.Scene(structure, control=tc.ForceDensity(), gravity=tc.Gravity()))
@@ -70,7 +70,7 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 def draw(plan: ocp.Plan, replay: tc.Trajectory, path: Path) -> None:
-    """Draw the prism from the side at some instants, and the tensions to the frame."""
+    """Draw side views at several times, and the tensions of the catching strings."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     center = replay.nodes[:, :6].mean(axis=1)
     left.plot(center[:, 0], center[:, 2], "k:", linewidth=1)

@@ -1,4 +1,4 @@
-"""A D-bar, pinned at one node, folds and unfolds again: bars that share nodes (class 2), a waypoint, and a motion that can be repeated.
+"""A D-bar, pinned at one node, folds and unfolds: a class-2 structure with a waypoint and a periodic motion.
 
 Run it with a folder for the pictures: python examples/dbar_folds.py pictures
 """
@@ -18,7 +18,7 @@ OPEN, FOLDED = np.pi / 4, 0.25  # rad, of the bars off the x axis
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what its replay reaches, saves the pictures, and returns the plan."""
+    """Print the plan and its replay, save pictures, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     structure = tc.shapes.d_bar(angle=OPEN, pinned=[0], bar_mass=1.0)
     folded = tc.shapes.d_bar(angle=FOLDED).string_lengths

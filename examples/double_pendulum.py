@@ -1,4 +1,6 @@
-"""A double pendulum of two rods, a class-2 structure: against the textbook's equations for its two angles, with the force in its pin.
+"""A double pendulum of two rods (class 2), compared with the Lagrange equations of its angles.
+
+The force in its pin is compared, too.
 
 Run it with a folder for the picture: python examples/double_pendulum.py pictures
 """
@@ -20,7 +22,7 @@ T_END = 3.0
 
 
 def main(folder: Path = Path()) -> dict[str, float]:
-    """Prints the comparison, saves the picture, and returns the largest errors by name, m or N."""
+    """Print the comparison, save a picture, and return the largest errors by name [m, N]."""
     folder.mkdir(parents=True, exist_ok=True)
     rods = tc.shapes.double_pendulum(angles=ANGLES)
     scene = tc.Scene(rods, gravity=tc.Gravity((0.0, 0.0, -GRAVITY)))
@@ -62,7 +64,10 @@ def main(folder: Path = Path()) -> dict[str, float]:
 
 
 def textbook(times: np.ndarray) -> np.ndarray:
-    """Nodes (T, 3, 3) from Lagrange's equations for the angles of two uniform rods of length 1 and equal mass."""
+    """Compute nodes (T, 3, 3) from Lagrange's equations for the angles.
+
+    The two uniform rods have length 1 and equal mass.
+    """
 
     def slope(_: float, y: np.ndarray) -> np.ndarray:
         (a, b), (da, db) = y[:2], y[2:]
@@ -81,12 +86,12 @@ def textbook(times: np.ndarray) -> np.ndarray:
 
 
 def pin_column(structure: tc.Structure) -> int:
-    """The column of P that holds the pinned node: the only one with a single entry."""
+    """Find the column of P that belongs to the pinned node."""
     return int(np.flatnonzero(np.abs(structure.class_one().P).sum(axis=0) == 1)[0])
 
 
 def newton(model: tc.Model, states: np.ndarray) -> np.ndarray:
-    """Mass times acceleration of the center of mass, less weight: what the pin has to exert (T, 3), N."""
+    """Compute the pin force (T, 3) [N] from the acceleration of the center of mass."""
     accelerations = np.array(
         [
             model.nodes(

@@ -1,7 +1,8 @@
-"""How plans grow with the structure: free towers of three-bar prisms, 3 to 96 bars, that rise by a tenth in a second, from rest to rest.
+"""Computation times of plans for towers of 3 to 96 bars, whose height increases by a tenth.
 
-Each is planned by default, and up to 24 bars also by `Variational` with IPOPT on as many intervals.
-Seconds are those of the processor, from `ocp.solve` to the plan, preparation and replay included.
+The towers of three-bar prisms are unsupported and move from rest to rest in a second. Each is
+planned by default, and up to 24 bars also by `Variational` with IPOPT on as many intervals. Times
+are processor times from `ocp.solve` to the plan, including the replay.
 
 Run it with a folder for the picture: python examples/plan_growth.py pictures
 """
@@ -31,7 +32,7 @@ DEFAULT, PROGRAM = "default", "Variational by Ipopt"
 
 
 class Row(NamedTuple):
-    """One plan. error: of its replay, m; growth: how many times larger small errors become along it."""
+    """Result of one plan, with the error of its replay [m] and its error growth."""
 
     bars: int
     method: str
@@ -45,7 +46,7 @@ class Row(NamedTuple):
 
 
 def solved(stages: int, method: str, intervals: int = 0) -> Row:
-    """The plan of one tower."""
+    """Solve the problem of one tower."""
     problem = free_tower(stages)
     given = (
         (ocp.Variational(intervals, accuracy=1e-4 * stages), ocp.Ipopt())
@@ -70,7 +71,7 @@ def solved(stages: int, method: str, intervals: int = 0) -> Row:
 
 
 def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
-    """Prints the table, draws it, and returns its rows. `quick`: up to 12 bars."""
+    """Print the table, draw it, and return its rows. With `quick`, up to 12 bars."""
     folder.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
     print(
@@ -88,7 +89,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[Row]:
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Seconds against bars, a line for each method, and a straight line of the second power."""
+    """Draw times over numbers of bars, a line for each method, and a quadratic line."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     axes = figure.subplots()
     for method, marker, above in ((DEFAULT, "o", -13), (PROGRAM, "s", 7)):

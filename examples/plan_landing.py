@@ -1,8 +1,8 @@
-"""A prism jumps 0.3 m and lands on its feet, at rest: a plan in four phases, replayed on a ground that gives way.
+"""A prism jumps 0.3 m and lands at rest: a plan of four phases, replayed on a compliant ground.
 
-It pushes, rises, falls and catches itself. Where the feet stand, the plan has the ground's forces
-on them as unknowns, in the cone of friction; where they land, an impact without rebound. The replay
-knows nothing of phases: its ground is a spring with damping and friction.
+In the stance phases the reactions of the ground are decision variables within the friction cone.
+The landing is an inelastic impact. The replay has no phases: its ground is a spring with damping
+and friction.
 
 Run it with a folder for the picture: python examples/plan_landing.py pictures
 """
@@ -24,7 +24,7 @@ LEAST, MOST = 5.0, 500.0  # N/m
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what its replay reaches, saves the picture, and returns the plan."""
+    """Print the plan and its replay, save a picture, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     prism = tc.shapes.prism(
         3, np.sqrt(BAR**2 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3
@@ -60,7 +60,7 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 def draw(plan: ocp.Plan, replay: tc.Trajectory, path: Path) -> None:
-    """Shapes on the way, side by side, above the height of the center of mass and the force densities over time."""
+    """Draw shapes of the prism, the height of its center of mass, and force densities."""
     figure = Figure(figsize=(9, 6), layout="constrained")
     shapes, heights, forces = figure.subplots(3, 1, height_ratios=(1, 1, 1))
     ends = plan.time[:: (len(plan.time) - 1) // 4]

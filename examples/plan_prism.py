@@ -1,4 +1,6 @@
-"""A prism unfolds: the force densities that raise it from flat to tall in one second, from rest to rest, replayed as a check.
+"""A prism rises from flat to tall in one second, from rest to rest, by force densities from a plan.
+
+A replay checks the plan.
 
 Run it with a folder for the pictures: python examples/plan_prism.py pictures
 """
@@ -20,7 +22,7 @@ LOW, HIGH = 0.3, 1.2  # m
 
 
 def prism(height: float) -> tc.Structure:
-    """The prism of three bars that stands `height` m tall in equilibrium."""
+    """Build the prism of three bars with a height [m] in equilibrium."""
     return tc.shapes.prism(
         bars=3,
         radius=np.sqrt(BAR**2 - height**2) / (2 * np.sin(TWIST / 2)),
@@ -30,7 +32,7 @@ def prism(height: float) -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what its replay reaches, saves the pictures, and returns the plan."""
+    """Print the plan and its replay, save pictures, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     flat, tall = prism(LOW), prism(HIGH)
     least, most = 5.0, 60.0
@@ -67,7 +69,10 @@ def main(folder: Path = Path()) -> ocp.Plan:
 
 
 def axis(nodes: np.ndarray) -> np.ndarray:
-    """The unit vector from the bottom's center to the top's: a free prism may turn on its way."""
+    """Compute the unit vector from the center of the bottom to that of the top.
+
+    An unsupported prism may rotate during the motion.
+    """
     along = nodes[3:].mean(axis=0) - nodes[:3].mean(axis=0)
     return np.asarray(along / np.linalg.norm(along))
 

@@ -1,4 +1,4 @@
-"""A plate hangs on six strings from a frame. It rises, turns and tilts in one second, from rest to rest, within a limit of its spin.
+"""A plate on six strings rises, turns and tilts in one second, from rest to rest, with limited angular velocity.
 
 Run it with a folder for the picture: python examples/plate_on_strings.py pictures
 """
@@ -20,7 +20,7 @@ SPIN = 1.2  # rad/s, at most
 
 
 def platform() -> tc.Structure:
-    """The square plate, its load above it, and the strings to three points of the frame."""
+    """Build the square plate with its load, and strings to three points of the frame."""
     half = WIDTH / 2
     corners = half * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     angle = np.radians([90, 210, 330])
@@ -36,7 +36,7 @@ def platform() -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what its replay reaches, saves the picture, and returns the plan."""
+    """Print the plan and its replay, save a picture, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     about_z, about_x = (
         ocp.BodyOrientation(0, turn).matrix for turn in [(0, 0, TURN), (TILT, 0, 0)]

@@ -1,8 +1,8 @@
-"""A chain of three bars stands on a pin and is straightened up; then a regulator keeps it upright against pushes.
+"""A chain of three bars on a pin is raised to the upright position, and stabilized by an LQR against pushes.
 
-Standing up is unstable: within the plan's two seconds, errors grow by more than ten orders of
-magnitude. So the plan is judged by its replay under feedback. Run it with a folder for the picture:
-python examples/standing_balance.py pictures
+The motion is unstable: within the two seconds of the plan, errors grow by more than ten orders of
+magnitude. Its acceptance test is therefore the replay under feedback. Run it with a folder for the
+picture: python examples/standing_balance.py pictures
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ STRONG = 20.0  # N/m, largest force density
 
 
 class Balance(NamedTuple):
-    """The plan, and the motion under feedback, with pushes."""
+    """Plan, and trajectory under feedback with pushes."""
 
     plan: ocp.Plan
     motion: tc.Trajectory
 
 
 def chain(lean: float) -> tc.Structure:
-    """Node 0: pin, 1 to 3: ends of the bars from below; the last two nodes: anchors."""
+    """Build the chain: node 0 is the pin, 1-3 are bar ends, the last two are anchors."""
     turned = lean * (-1.0) ** np.arange(BARS)
     steps = LENGTH * np.column_stack([np.sin(turned), 0 * turned, np.cos(turned)])
     nodes = np.vstack([np.zeros(3), np.cumsum(steps, axis=0), (-SPAN, 0, 0), (SPAN, 0, 0)])
@@ -52,7 +52,7 @@ def chain(lean: float) -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> Balance:
-    """Prints the plan and the motion under feedback, saves the picture, and returns both."""
+    """Print plan and trajectory under feedback, save a picture, and return both."""
     folder.mkdir(parents=True, exist_ok=True)
     upright = chain(0.0).nodes
     model = tc.Model(tc.Scene(chain(LEAN), control=tc.ForceDensity(), gravity=tc.Gravity()))
@@ -82,14 +82,14 @@ def main(folder: Path = Path()) -> Balance:
 
 
 def push(time: float, state: np.ndarray) -> np.ndarray:
-    """Push all velocities at the decisions after the times of pushes."""
+    """Change the velocities at the first decisions after the times of the pushes."""
     pushed = any(at <= time < at + PERIOD for at in PUSHES)
     half = len(state) // 2
     return np.concatenate([state[:half], state[half:] + PUSH * pushed])
 
 
 def draw(motion: tc.Trajectory, path: Path) -> None:
-    """Draw the chain at some instants, and the tip's distance from the vertical over time."""
+    """Draw the chain at several times, and the tip's distance from the vertical."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
     for time in (0.0, 0.1, 0.3, 2.0):
         frame = motion.nodes[int(np.searchsorted(motion.time, time))]

@@ -1,7 +1,7 @@
-"""A chain of two bars, hinged to the ceiling, swings up between two pairs of strings and stands upright at rest.
+"""A chain of two bars, hinged to the ceiling, swings up between strings and comes to rest upright.
 
-Its strings are too weak to lift it at once: it swings to both sides first. Run it with a folder for
-the picture: python examples/swing_up.py pictures
+The strings are too weak to lift it directly: it first swings to both sides. Run it with a folder
+for the picture: python examples/swing_up.py pictures
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DURATION = 2.0  # s
 
 
 def chain() -> tc.Structure:
-    """Node 0: hinge, 1: joint, 2: tip; nodes 3 and 4: anchors at the height of the hinge."""
+    """Build the chain: node 0 is the hinge, 1 the joint, 2 the tip, 3 and 4 anchors."""
     lean = 1e-3 * LENGTH  # hanging straight, no string could move it to one side first
     deep = np.sqrt(LENGTH**2 - lean**2)
     nodes = [(0, 0, 0), (lean, 0, -deep), (0, 0, -2 * deep), (-SPAN, 0, 0), (SPAN, 0, 0)]
@@ -32,7 +32,7 @@ def chain() -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and its swings, saves the picture, and returns the plan."""
+    """Print the plan and its swings, save a picture, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     model = tc.Model(tc.Scene(chain(), control=tc.ForceDensity(), gravity=tc.Gravity()))
     upright = {1: (0, None, LENGTH), 2: (0, None, 2 * LENGTH)}

@@ -1,4 +1,6 @@
-"""Two motors tilt a prism through three cables, which run from its top over eyelets at its feet: rest lengths over time, from rest to rest.
+"""Two motors tilt a prism by three cables, from rest to rest; the controls are rest lengths.
+
+The cables run from its upper nodes through eyelets at its supports.
 
 Run it with a folder for the picture: python examples/two_motors.py pictures
 """
@@ -35,7 +37,7 @@ def robot() -> tc.Structure:
 
 
 def main(folder: Path = Path()) -> ocp.Plan:
-    """Prints the plan and what its replay reaches, saves the picture, and returns the plan."""
+    """Print the plan and its replay, save a picture, and return the plan."""
     folder.mkdir(parents=True, exist_ok=True)
     s = robot()
     scene = tc.Scene(s, control=tc.RestLength())
