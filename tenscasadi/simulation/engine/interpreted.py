@@ -50,10 +50,33 @@ class StepRows(NamedTuple):
     code: int = FINISHED
 
 
+class Before(NamedTuple):
+    """States before k steps of n runs.
+
+    Attributes
+    ----------
+    z : ndarray, shape (k, n, nz)
+        States and external work.
+    w : ndarray, shape (k, n, nw)
+        Stacked inputs in these steps.
+    jumped : ndarray, shape (k, n)
+        Energy that jumps of the inputs have supplied [J].
+    """
+
+    z: Array
+    w: Array
+    jumped: Array
+
+    def select(self, which: Any) -> Before:
+        """Select some of the steps."""
+        return Before(*(one[which] for one in self))
+
+
 class Interpreted:
     """Backend that evaluates steps in CasADi's virtual machine.
 
     A call of the step Function takes up to `chunk` steps of one run, or one step of several.
+    Only `advance` continues over the ends of intervals.
     """
 
     lanes = 0
@@ -100,20 +123,24 @@ class Interpreted:
             self._mapped[key] = ArrayFunction(mapped)
         return self._mapped[key](*inputs)
 
-    def take(self, loop: Loop, length: float, most: int) -> StepRows:
-        """Advance the runs by up to `most` steps of `length` s."""
+    def take(self, loop: Loop, lengths: Array, w: Array) -> StepRows:
+        """Advance the runs by at least one of the next steps.
+
+        The steps have `lengths` (k,) [s] and inputs w (k, n, nw).
+        """
         if self.has("attempt"):
-            code = self._control_error(loop, length)
+            code = self._control_error(loop, float(lengths[0]))
             return StepRows(loop.z[None], None, code)
         n, q = len(loop.z), loop.q
-        steps = min(self.chunk, most) if n == 1 else 1
+        steps = min(self.chunk, len(lengths)) if n == 1 else 1
         every, places = q["correct_every"], loop.step + 1 + np.arange(steps)
         flags = (places % every == 0) if every else np.zeros(steps)
         rows = [
             np.repeat(value, steps * n // len(value), axis=0)
-            for value in (loop.w, np.full((1, 1), length), q["numbers"][None], flags[:, None])
+            for value in (lengths[:steps, None], q["numbers"][None], flags[:, None])
         ]
-        z, effects = self.evaluate("advance", loop.z, *rows, steps=steps)
+        w = w[:steps].reshape(steps * n, -1)
+        z, effects = self.evaluate("advance", loop.z, w, *rows, steps=steps)
         return StepRows(z.reshape(steps, n, -1), effects.reshape(steps, n, 2) if every else None)
 
     def _control_error(self, loop: Loop, length: float) -> int:
@@ -184,7 +211,7 @@ class Loop:
         q = self.q
         if self.status.all():
             return
-        for interval in range(q["intervals"]):
+        for interval in range(0, q["intervals"], joined := self._count_joined()):
             if self.status.all():
                 break
             if q.get("clock") is not None and np.isfinite(q["clock"][interval]):
@@ -193,12 +220,12 @@ class Loop:
             changed = interval == 0 or q["row"][interval] != q["row"][interval - 1]
             if changed or q.get("gains") is not None:
                 self._hold(interval)
-            self._march(int(q["count"][interval]), float(q["length"][interval]))
+            self._march(interval, interval + joined)
             if self.backend.has("stage"):
                 rate = self.backend.evaluate("stage", self._x(self.z), self.w)[0][:, 0]
                 self.cost += rate * (q["length"][interval] * q["count"][interval])
         if self.step == q["total"] or self.status.all():
-            self._observe(self.z[None], end=True)
+            self._observe(Before(self.z[None], self.w[None], self.jumped[None]), end=True)
         if self.backend.has("final"):
             self.cost += self.backend.evaluate("final", self._x(self.z), self.w)[0][:, 0]
         if q["save_every"] and self.status.all():
@@ -208,21 +235,65 @@ class Loop:
                     rows[self.motions, left] = np.nan
         self._leave()
 
-    def _march(self, left: int, length: float) -> None:
-        while left and not self.status.all():
-            before = self.z
+    def _count_joined(self) -> int:
+        """Count the intervals that a march takes together.
+
+        Those of one run are all together unless the state is changed or read between them.
+        """
+        q, backend = self.q, self.backend
+        reads = backend.has("stage") or q.get("gains") is not None or q.get("clock") is not None
+        alone = reads or len(self.z) > 1 or not backend.has("advance")
+        return 1 if alone else max(1, q["intervals"])
+
+    def _march(self, first: int, last: int) -> None:
+        """Take the steps of consecutive intervals; the inputs are those of the first."""
+        q, done = self.q, 0
+        interval = np.repeat(np.arange(first, last), q["count"][first:last])
+        length, row = q["length"][interval], q["row"][interval]
+        w = np.broadcast_to(self.w, (len(row), *self.w.shape))
+        if last - first > 1:
+            w = self._read_inputs(row)
+        changed = np.append(False, np.diff(row) != 0)
+        while done < len(row) and not self.status.all():
+            start = self.z[None]
             try:
-                rows = self.backend.take(self, length, left)
+                rows = self.backend.take(self, length[done:], w[done:])
             except RuntimeError:  # CasADi could not evaluate a step
-                rows = StepRows(before[None], None, UNSOLVED)
-            self._observe(np.concatenate([before[None], rows.z[:-1]]))
+                rows = StepRows(start, None, UNSOLVED)
+            z = np.concatenate([start, rows.z[:-1]])
+            here = slice(done, done + len(z))
+            before = Before(z, w[here], self._account_jumps(z, w[here], changed[here]))
+            self._observe(before)
             if self.status.all():
                 return
             if rows.code:
                 self._end(rows.code)
                 return
             self._record_effects(rows)
-            self.step, self.z, left = self.step + len(rows.z), rows.z[-1], left - len(rows.z)
+            self.step, self.z, done = self.step + len(z), rows.z[-1], here.stop
+            self.w, self.jumped = w[done - 1], before.jumped[-1]
+
+    def _account_jumps(self, z: Array, w: Array, changed: Any) -> Array:
+        """Add up the energy of jumps of the inputs before k steps (k, n) [J]."""
+        supplied = np.zeros(z.shape[:2])
+        if self.backend.has("energy") and changed.any():
+            x = self._x(z[changed].reshape(-1, z.shape[2]))
+            before = np.concatenate([self.w[None], w[:-1]])
+            old, new = (
+                self.backend.evaluate("energy", x, one[changed].reshape(len(x), -1))[0]
+                for one in (before, w)
+            )
+            supplied[changed] = (new - old).reshape(-1, z.shape[1])
+        return np.cumsum(np.concatenate([self.jumped[None], supplied]), axis=0)[1:]
+
+    def _read_inputs(self, rows: Indices) -> Array:
+        """Read stacked inputs (k, n, nw) by their rows, without feedback."""
+        q, own, shared = self.q, self.motions, np.zeros(len(self.z), dtype=int)
+        w = q["inputs"][own if q["input_stride"] else shared, rows[:, None]]
+        if not q["parameters"].shape[1]:
+            return np.asarray(w)
+        p = q["parameters"][own if q["parameter_stride"] else shared]
+        return np.concatenate([w, np.broadcast_to(p, (len(w), *p.shape))], axis=2)
 
     def _record_effects(self, rows: StepRows) -> None:
         """Record the effects of constraint corrections with saved rows.
@@ -239,12 +310,10 @@ class Loop:
                 q["corrected"][self.motions, self.pending], self.pending = effects, None
 
     def _hold(self, interval: int) -> None:
-        q, own, shared = self.q, self.motions, np.zeros(len(self.z), dtype=int)
+        q = self.q
         account, x = self.backend.has("energy") and self.step > 0, self._x(self.z)
         before = self.backend.evaluate("energy", x, self.w)[0] if account else None
-        self.w = q["inputs"][own if q["input_stride"] else shared, q["row"][interval]]
-        if q["parameters"].shape[1]:
-            self.w = np.hstack([self.w, q["parameters"][own if q["parameter_stride"] else shared]])
+        self.w = self._read_inputs(q["row"][interval : interval + 1])[0]
         if q.get("gains") is not None:
             if q["decides"][interval]:
                 k = q["decision"][interval]
@@ -252,32 +321,34 @@ class Loop:
                 self.u = np.clip(q["given"][k] - away @ q["gains"][k].T, q["lower"], q["upper"])
             self.w[:, : self.u.shape[1]] = self.u
         if before is not None:
-            self.jumped += (self.backend.evaluate("energy", x, self.w)[0] - before)[:, 0]
+            self.jumped = (
+                self.jumped + (self.backend.evaluate("energy", x, self.w)[0] - before)[:, 0]
+            )
 
     def _end(self, code: int) -> None:
         """End all runs before the next step with a failure code."""
         self.fault[self.status == FINISHED] = self.step
         self.status[self.status == FINISHED] = code
 
-    def _observe(self, z: Array, end: bool = False) -> None:
-        """Measure errors and energies, and save states (k, n, nz).
+    def _observe(self, before: Before, end: bool = False) -> None:
+        """Measure errors and energies, and save states before k steps.
 
-        They are the states before k steps, or with `end`, the final states.
+        With `end`, they are the final states.
         """
-        q, steps = self.q, self.step + np.arange(len(z))
+        q, steps = self.q, self.step + np.arange(len(before.z))
         saved = (steps % q["save_every"] == 0) | end if q["save_every"] else steps < 0
         turns = 0.6180339887498949 * steps  # of the golden ratio, see `engine.hpp`
         checked = (turns % 1.0) * q["look_every"] < 1.0 if q["look_every"] else steps < 0
         due = saved | checked | end | (steps == 0)
         if not due.any():
             return
-        measure = self._measure(z)
+        measure = self._measure(before)
         if steps[0] == 0:
             self.bars = measure[0, :, 0] if self.measures else self.bars
             self.energy, self.worst = self._energy(measure[0]), np.full_like(self.worst, np.nan)
-        codes = self._find_faults(z, measure, steps) * due[:, None]
-        before = (self.status != FINISHED) & (self.status < STOPPED)
-        lost = (np.cumsum(codes, axis=0) > 0) | before
+        codes = self._find_faults(before.z, measure, steps) * due[:, None]
+        over = (self.status != FINISHED) & (self.status < STOPPED)
+        lost = (np.cumsum(codes, axis=0) > 0) | over
         new = lost[-1] & (self.status == FINISHED)
         place = np.argmax(codes != FINISHED, axis=0)
         self.status[new], self.fault[new] = (
@@ -288,20 +359,19 @@ class Loop:
         last = np.max(np.where(fine, steps[:, None], -1), axis=0)
         self.good = np.maximum(self.good, last)
         if self.measures:
-            self._update_extremes(measure, z, fine)
+            self._update_extremes(measure, before, fine)
         if saved.any():
             rows = -(-steps[saved] // q["save_every"])
-            self._keep(rows, z[saved], measure[saved], lost[saved])
+            self._keep(rows, before.select(saved), measure[saved], lost[saved])
         if self.status.all() and new.any():
             self.step = int(self.fault.max())
 
-    def _measure(self, z: Array) -> Array:
+    def _measure(self, before: Before) -> Array:
         """Compute errors and energies of states (k, n, nz)."""
-        shape = z.shape[:2]
+        z, shape = before.z, before.z.shape[:2]
         if not self.measures:
             return np.zeros((*shape, 0))
-        w = np.tile(self.w, (len(z), 1))
-        rows = z.reshape(shape[0] * shape[1], z.shape[2])
+        rows, w = (one.reshape(shape[0] * shape[1], -1) for one in (z, before.w))
         found = self.backend.evaluate("measure", self._x(rows), w)[0]
         return np.asarray(found.reshape(*shape, -1))
 
@@ -329,11 +399,12 @@ class Loop:
         The states (n, nz) are those of substeps.
         """
         if self.measures:
-            self._update_extremes(self._measure(z[None]), z[None], (self.status == FINISHED)[None])
+            now = Before(z[None], self.w[None], self.jumped[None])
+            self._update_extremes(self._measure(now), now, (self.status == FINISHED)[None])
 
-    def _update_extremes(self, measure: Array, z: Array, fine: Any) -> None:
+    def _update_extremes(self, measure: Array, before: Before, fine: Any) -> None:
         bars, joints, kinetic, elastic, gravity = np.moveaxis(measure[:, :, :5], 2, 0)
-        error = np.abs(self._energy(measure) - self.energy - self._supplied(z))
+        error = np.abs(self._energy(measure) - self.energy - self._supplied(before))
         now = np.stack([bars, joints, error, kinetic, elastic, elastic, gravity, gravity], axis=2)
         now[~fine] = np.nan
         now = np.concatenate([self.worst[None], now])
@@ -342,13 +413,13 @@ class Loop:
         high[:, minima] = low[:, minima]
         self.worst = high
 
-    def _keep(self, rows: Indices, z: Array, measure: Array, lost: Any) -> None:
+    def _keep(self, rows: Indices, before: Before, measure: Array, lost: Any) -> None:
         q, self.pending = self.q, int(rows[-1])
         place = np.reshape(self.motions, (-1, 1)), rows
-        states = np.where(lost[:, :, None], np.nan, z[:, :, : self.sizes["nx"]])
+        states = np.where(lost[:, :, None], np.nan, before.z[:, :, : self.sizes["nx"]])
         q["saved"][place] = states.swapaxes(0, 1)
         if q["measured"] is not None:
-            measured = np.concatenate([measure, self._supplied(z)[:, :, None]], axis=2)
+            measured = np.concatenate([measure, self._supplied(before)[:, :, None]], axis=2)
             measured[lost] = np.nan
             q["measured"][place] = measured.swapaxes(0, 1)
 
@@ -361,7 +432,7 @@ class Loop:
             q[name][motions] = getattr(self, name)
         if self.measures:
             q["worst"][motions] = self.worst
-        work = self._supplied(self.z) - self.jumped
+        work = self._supplied(Before(self.z, self.w, self.jumped)) - self.jumped
         head = np.stack([self.energy, self.bars, work, self.jumped], axis=1)
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
@@ -373,10 +444,10 @@ class Loop:
         """Compute the total energy (…, n) [J] that external work changes."""
         return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
 
-    def _supplied(self, z: Array) -> Array:
+    def _supplied(self, before: Before) -> Array:
         """Compute the external work (…, n) [J]."""
-        nx, jumped = self.sizes["nx"], np.broadcast_to(self.jumped, z.shape[:-1])
-        return jumped + z[..., nx] if self.sizes["work"] else jumped
+        nx, jumped = self.sizes["nx"], before.jumped
+        return jumped + before.z[..., nx] if self.sizes["work"] else jumped
 
 
 def _append_correction(functions: Mapping[str, ca.Function]) -> ca.Function:

@@ -95,18 +95,18 @@ class SundialsRuns(Interpreted):
         if self._stop["stop"][0]:
             raise Stopped
 
-    def take(self, loop: Loop, length: float, most: int) -> StepRows:
-        """Advance the run by up to `most` steps of `length` s."""
-        count = min(most, self.chunk - loop.step % self.chunk)
+    def take(self, loop: Loop, lengths: Array, w: Array) -> StepRows:
+        """Take at least one of the next steps, which have one input and length [s]."""
+        length, count = float(lengths[0]), min(len(lengths), self.chunk - loop.step % self.chunk)
         try:
-            rows = self._take(loop.z[0], loop.w[0], length, count)
+            rows = self._take(loop.z[0], w[0, 0], length, count)
         except Stopped:
             return StepRows(loop.z[None], None, STOPPED)
         except RuntimeError as error:
             self.failure = str(error)
             return StepRows(loop.z[None], None, UNSOLVED)
         corrected = np.arange(loop.step + 1, loop.step + count + 1) % self._every == 0
-        self._correct(rows, loop.w[0], corrected)
+        self._correct(rows, w[0, 0], corrected)
         return StepRows(rows[:, None])
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
