@@ -205,28 +205,32 @@ def build_projection(model: Model, iterations: int = 3) -> ca.Function:
 def _projection(model: Model, iterations: int) -> ca.Function:
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
+    N, _, time = model.unpack(x)
+    place, slow = model.keep("projection parts", lambda: _projection_parts(model, kind))
+    for _ in range(iterations):  # Newton's method
+        N = place(N, x, p)
+    result = model.pack(N, slow(N, x, p), model.split(x).internal, time)
+    return _correcting("project", x, p, result, "projected")
+
+
+def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function]:
+    """Build the projections (N, x, p) of nodes N and of the velocities in x.
+
+    They are common to all numbers of iterations. Bars without joints are restored in closed form.
+    """
+    x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
     mech = model.with_masses(ca.vertcat(kind(model.nu, 1), p))
-    N, V, time = model.unpack(x)
+    _, V, time = model.unpack(x)
     D, Dd, _ = model.targets(time)
+    N = placed = kind.sym("N", *V.shape)
     if mech.system_size:
-        before = kind.sym("N", *N.shape)
-        B = mech.bar_vectors(before)
-        nearer = ca.Function(
-            "nearer",
-            [before, x, p],
-            [remove_residuals(mech, before, B, *residuals(mech, before, B, D))],
-        )
-        for _ in range(iterations):  # Newton's method
-            N = nearer(N, x, p)
+        B = mech.bar_vectors(N)
+        placed = remove_residuals(mech, N, B, *residuals(mech, N, B, D))
     elif mech.constrained:
-        N = _rescale(mech, N)
-    return _correcting(
-        "project",
-        x,
-        p,
-        model.pack(N, project_velocities(mech, N, V, Dd), model.split(x).internal, time),
-        "projected",
-    )
+        placed = _rescale(mech, N)
+    slow = project_velocities(mech, N, V, Dd)
+    inputs = [N, x, p]
+    return ca.Function("place", inputs, [placed]), ca.Function("slow", inputs, [slow])
 
 
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
