@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from ocp.solvers.monitor import Monitor
@@ -28,6 +29,9 @@ class Solution(NamedTuple):
         Lagrange multipliers of the constraints, and of the bounds on w.
     last : ndarray or None
         Last iterate.
+    correct : callable or None
+        Function of a `Program` that differs from the solved one only in row limits, initial guess
+        and duals, and of a `Monitor`. It returns the solution nearby. None: solve it again.
     """
 
     w: Array
@@ -36,6 +40,7 @@ class Solution(NamedTuple):
     iterations: int
     multipliers: tuple[Array, Array] | None = None
     last: Array | None = None
+    correct: Callable[[Program, Monitor | None], Solution] | None = None
 
 
 class Outcome(NamedTuple):

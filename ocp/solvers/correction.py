@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,17 +15,6 @@ from tenscasadi.util.validate import Array
 TOO_COARSE = (
     "too coarse: corrections end {:.2g} m from fine steps, not {:.2g} m: give more intervals"
 )
-
-
-@runtime_checkable
-class Correcting(Solver, Protocol):
-    """Solver that supports deferred correction.
-
-    It solves a program again from its last solution.
-    """
-
-    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare repeated solutions with shifted constraint bounds."""
 
 
 class Corrected(NamedTuple):
@@ -64,9 +52,9 @@ def solve_corrected(
     most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
     solution = solver.solve(program, monitor)
     best, last, iterations = Corrected(solution, None, np.inf), np.inf, solution.iterations
+    correct = solution.correct or solver.solve
     if not solution.success:
         return best
-    correct: Callable[..., Solution] | None = None
     rest: MotionResidual | None = None
     for done in range(most + 1):
         rest = measure(solution.w, rest)
@@ -79,10 +67,6 @@ def solve_corrected(
         if met or late or done == most or not rest.size < left * last:
             break
         last, program = rest.size, program.shift_rows(rest.shift, solution.w, solution.multipliers)
-        if correct is None:
-            correct = solver.solve
-            if isinstance(solver, Correcting):
-                correct = solver.prepare_correction(program)
         solution = correct(program, monitor)
         iterations += solution.iterations
         if not solution.success:

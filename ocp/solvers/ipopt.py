@@ -157,8 +157,10 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         if monitor is None:
             own = Monitor()
             with own.catching_interrupts():
-                return self._run(run, program, own)
-        return self._run(run, program, monitor)
+                solution = self._run(run, program, own)
+        else:
+            solution = self._run(run, program, monitor)
+        return solution._replace(correct=_WarmStarts(replace(self, warm_start=True)))
 
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
         """Solve, and solve again from a perturbed guess after a saddle.
@@ -198,21 +200,6 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
         return partial(_run, self._create_solver(program, best), best)
 
     prepared = RenamedAttribute("build")
-
-    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare repeated solutions with shifted constraint bounds.
-
-        Parameters
-        ----------
-        program : Program
-            One of the programs, which starts from its solution and duals.
-
-        Returns
-        -------
-        callable
-            Function as that of `build`.
-        """
-        return replace(self, warm_start=True).build(program)
 
     def _create_solver(self, program: Program, best: BestIterate) -> ca.Function:
         ipopt = {
@@ -262,6 +249,19 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
             ) from None
 
 
+class _WarmStarts:
+    """Solutions of programs with shifted rows, by a solver that is built for the first of them."""
+
+    def __init__(self, solver: Ipopt) -> None:
+        self._solver = solver
+        self._run: Callable[..., Solution] | None = None
+
+    def __call__(self, moved: Program, monitor: Monitor | None = None) -> Solution:
+        if self._run is None:
+            self._run = self._solver.build(moved)
+        return self._run(moved, monitor)
+
+
 class BestIterate(ca.Callback):
     """Callback of IPOPT that stores the best iterate."""
 
@@ -269,6 +269,7 @@ class BestIterate(ca.Callback):
         super().__init__()
         self._sizes = {"x": size, "f": 1, "g": rows, "lam_x": size, "lam_g": rows, "lam_p": 0}
         self._objective, self._watch = objective, watch
+        self._used = [ca.nlpsol_out().index(name) for name in ("x", "f", "g")]
         self.begin(np.zeros(rows), np.zeros(rows), Monitor(), None)
         self.construct("best", {})
 
@@ -308,10 +309,8 @@ class BestIterate(ca.Callback):
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Record the iterate, and write whether to stop into `res`."""
-        w, f, g = (
-            np.frombuffer(arg[ca.nlpsol_out().index(name)] or b"") for name in ("x", "f", "g")
-        )
+        """Write whether to stop into `res`."""
+        w, f, g = (np.frombuffer(arg[k] or b"") for k in self._used)
         violation = float(
             np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0)
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -58,29 +58,27 @@ class Elimination:
         )
         self._steps = _find_steps([block.level for block in blocks], starts, self._groups)
         rest = np.flatnonzero(~inside)
-        self._below = _OffDiagonal(row[rest], column[rest], rest, size)
-        self._above = _OffDiagonal(column[rest], row[rest], rest, size)
+        places = row[rest], column[rest]
+        ranges = [(step.start, step.end) for step in self._steps]
+        self._forward = _Substitution(*places, rest, size, ranges)
+        self._backward = _Substitution(*places[::-1], rest, size, ranges)
+        self._backward.steps.reverse()
 
     def factor(self, values: Array) -> None:
         """Factorize A with new values of its nonzeros."""
         for group in self._groups:
             group.take(values)
-        self._below.take(values)
-        self._above.take(values)
+        inverses = [step.group.inverse[step.ranks] for step in self._steps]
+        self._forward.take(values, inverses)
+        self._backward.take(values, [one.transpose(0, 2, 1) for one in inverses])
 
     def solve(self, b: Array) -> Array:
         """Solve A x = b in place, with b ordered by `by_row`."""
-        for step in self._steps:
-            self._below.add_into(b, step)
-            step.multiply(b, step.inverse())
-        return b
+        return self._forward.substitute(b)
 
     def solve_transposed(self, b: Array) -> Array:
         """Solve Aᵀ x = b in place, with b ordered by `by_column`."""
-        for step in reversed(self._steps):
-            self._above.add_into(b, step)
-            step.multiply(b, step.inverse().transpose(0, 2, 1))
-        return b
+        return self._backward.substitute(b)
 
 
 class _DefectBlock(NamedTuple):
@@ -184,16 +182,6 @@ class _Step(NamedTuple):
     group: _Group
     ranks: slice
 
-    def inverse(self) -> Array:
-        """Select the inverse diagonal blocks (count, m, m)."""
-        return self.group.inverse[self.ranks]
-
-    def multiply(self, b: Array, inverse: Array) -> None:
-        """Multiply the rows of b that belong to the blocks, in place."""
-        own = b[self.start : self.end]
-        shape = (len(inverse), inverse.shape[2], b.shape[1])
-        own[:] = np.matmul(inverse, own.reshape(shape)).reshape(own.shape)
-
 
 def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
     """Find the longest sequences of neighboring blocks.
@@ -213,30 +201,48 @@ def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> lis
     return steps
 
 
-class _OffDiagonal:
-    """Off-diagonal part of A or Aᵀ, negated and stored by rows."""
+class _Substitution:
+    """Substitution with A or Aᵀ, step by step.
 
-    def __init__(self, row: Indices, column: Indices, entries: Indices, size: int) -> None:
+    Attributes
+    ----------
+    steps : list of (int, int, int, ndarray or None)
+        Index of the inverse, first row and the row after the last, and the places of the rows'
+        entries; None without entries.
+    """
+
+    def __init__(
+        self,
+        row: Indices,
+        column: Indices,
+        entries: Indices,
+        size: int,
+        ranges: list[tuple[int, int]],
+    ) -> None:
         order = np.lexsort((column, row))
         self.size, self.entries = size, entries[order]
         self.columns = column[order].astype(np.int32)
-        self.starts = np.searchsorted(row[order], np.arange(size + 1)).astype(np.int32)
+        starts = np.searchsorted(row[order], np.arange(size + 1)).astype(np.int32)
+        self.steps = [
+            (k, first, last, starts[first : last + 1] if starts[first] < starts[last] else None)
+            for k, (first, last) in enumerate(ranges)
+        ]
 
-    def take(self, values: Array) -> None:
-        self.values = -values[self.entries]
+    def take(self, values: Array, inverses: list[Array]) -> None:
+        """Take the values of all entries, and the inverse blocks (count, m, m) of each step."""
+        self.values, self.inverses = -values[self.entries], inverses
 
-    def add_into(self, b: Array, step: _Step) -> None:
-        """Add the product with b to the rows of a step, in place."""
-        starts, r = self.starts[step.start : step.end + 1], b.shape[1]
-        if starts[0] == starts[-1]:
-            return
-        flat = b.reshape(-1)
-        own: Any = flat[step.start * r : step.end * r]
-        given = (starts, self.columns, self.values, flat, own)
-        if r == 1:
-            _sparsetools.csr_matvec(step.end - step.start, self.size, *given)
-        else:
-            _sparsetools.csr_matvecs(step.end - step.start, self.size, r, *given)
+    def substitute(self, b: Array) -> Array:
+        """Replace b (n, r) by the solution."""
+        r, flat, given = b.shape[1], b.reshape(-1), (self.columns, self.values)
+        vectors = () if r == 1 else (r,)
+        add = _sparsetools.csr_matvec if r == 1 else _sparsetools.csr_matvecs
+        for k, first, last, starts in self.steps:
+            own, inverse = flat[first * r : last * r], self.inverses[k]
+            if starts is not None:
+                add(last - first, self.size, *vectors, starts, *given, flat, own)
+            own[:] = np.matmul(inverse, own.reshape(len(inverse), inverse.shape[2], r)).reshape(-1)
+        return b
 
 
 class _Group:

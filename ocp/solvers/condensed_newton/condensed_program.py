@@ -5,11 +5,12 @@ It has first and second derivatives with respect to the controls.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse import _sparsetools  # building SciPy's matrices takes longer than their products
 
 from ocp.solvers.condensed_newton.bounds import VariableBounds
 from ocp.transcription.elimination import Elimination
@@ -78,7 +79,6 @@ class CondensedProgram:
         ]
         to_defect = _numbers(self.defect_rows, count)
         self._defects_by_u = _SparseBlock(row, column, to_defect, to_u)
-        self._u_by_defects = _SparseBlock(column, row, to_u, to_defect)
         i, j = _places(functions["nlp_hess_l"].sparsity_out(0))
         off, both = np.flatnonzero(i != j), _numbers(np.append(self.s, self.u), n)
         self._symmetric = np.append(np.arange(len(i)), off)
@@ -113,8 +113,11 @@ class CondensedProgram:
         self.s = determined[self.elimination.by_column]
 
     def move_rows(self, program: Program) -> None:
-        """Replace the bounds of the constraints by those of a program."""
-        self.program = program
+        """Replace the bounds of the constraints by those of a program.
+
+        All goals count again.
+        """
+        self.program, self.independent = program, None
         self.path_bounds = VariableBounds(
             program.lower[self.path_rows], program.upper[self.path_rows]
         )
@@ -150,7 +153,7 @@ class CondensedProgram:
         """Evaluate the gradient of the cost with respect to (u, s)."""
         return self._slope(self.join(u, s))[1].ravel()
 
-    def hessian(self, u: Array, s: Array, duals: Array | None = None) -> sp.csr_array:
+    def hessian(self, u: Array, s: Array, duals: Array | None = None) -> SparseRows:
         """Compute the Hessian of the Lagrangian in the order s, u."""
         weights = np.zeros(len(self.program.lower)) if duals is None else duals
         values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
@@ -176,10 +179,12 @@ class Expansion:
         self._of, self._u, self._s = of, u, s
         values, slope = of.jacobian_values(u, s), of.slope(u, s)
         of.elimination.factor(values[of._of_elimination])
-        self._by_u, self._by_u_T = of._defects_by_u.at(values), of._u_by_defects.at(values)
+        self._by_u = of._defects_by_u.at(values)
         self._goals, self._paths = ([part.at(values) for part in own] for own in of._parts)
         if of.independent is not None:
-            self._goals = [sp.csr_array(of.independent @ one) for one in self._goals]
+            self._goals = [
+                SparseRows.of(sp.csr_array(of.independent @ one.matrix)) for one in self._goals
+            ]
         self._slope_s = slope[of.s]
         by_s, by_u = (
             _beside(one, own)
@@ -193,7 +198,7 @@ class Expansion:
 
         They follow from the partial ones with respect to s and u; `by_s` is overwritten.
         """
-        return np.asarray(by_u - self._by_u_T @ self._of.elimination.solve_transposed(by_s))
+        return by_u - self._by_u.transposed_times(self._of.elimination.solve_transposed(by_s))
 
     def growth(self) -> float:
         """Estimate the change of s per unit of the defects."""
@@ -207,7 +212,7 @@ class Expansion:
         """
         if not len(weights):
             return np.zeros((weights.shape[1], len(self._u)))
-        by_s, by_u = (np.ascontiguousarray(one.T @ weights) for one in self._paths)
+        by_s, by_u = (one.transposed_times(weights) for one in self._paths)
         return np.ascontiguousarray(self._reduce(by_s, by_u).T)
 
     def stiffness(self, of_paths: Array) -> Array:
@@ -215,29 +220,29 @@ class Expansion:
 
         The barriers have the second derivatives `of_paths` (p,).
         """
-        return np.asarray(self._paths[1].power(2).T @ of_paths)
+        return self._paths[1].squared().transposed_times(of_paths)
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
         """Compute the linearized change of s for a step of u.
 
         It keeps the defects, or removes the given ones.
         """
-        push = np.zeros(len(self._s)) if step is None else -(self._by_u @ step)
+        push = np.zeros(len(self._s)) if step is None else -self._by_u.times(step)
         if defects is not None:
             push = push - defects
         return self._of.elimination.solve(push[:, None])[:, 0]
 
     def change(self, moved: Array) -> Array:
         """Compute the change (m,) of the goals for a change of s."""
-        return np.asarray(self._goals[0] @ moved)
+        return self._goals[0].times(moved)
 
     def path_change(self, moved: Array, step: Array | None) -> Array:
         """Compute the change (p,) of path constraints along a step.
 
         The step consists of the changes `moved` of s and `step` of u.
         """
-        own = self._paths[0] @ moved
-        return np.asarray(own if step is None else own + self._paths[1] @ step)
+        own = self._paths[0].times(moved)
+        return own if step is None else own + self._paths[1].times(step)
 
     def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
         """Set the duals and barrier curvatures that `curvature` uses.
@@ -245,7 +250,8 @@ class Expansion:
         The second derivatives of the path-constraint barriers are `stiffness` (p,).
         """
         of = self._of
-        pull = self._slope_s + self._goals[0].T @ goal_duals + self._paths[0].T @ path_duals
+        pull = self._slope_s + self._goals[0].transposed_times(goal_duals)
+        pull = pull + self._paths[0].transposed_times(path_duals)
         self.duals = np.zeros(len(of.program.lower))
         self.duals[of.goal_rows] = (
             goal_duals if of.independent is None else of.independent.T @ goal_duals
@@ -259,10 +265,62 @@ class Expansion:
 
         The change `moved` of s belongs to the step.
         """
-        by_s, by_u = np.split(self._second @ np.append(moved, step), [len(moved)])
+        by_s, by_u = np.split(self._second.times(np.append(moved, step)), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
-        by_s, by_u = by_s + self._paths[0].T @ push, by_u + self._paths[1].T @ push
+        by_s = by_s + self._paths[0].transposed_times(push)
+        by_u = by_u + self._paths[1].transposed_times(push)
         return self._reduce(by_s[:, None], by_u[:, None])[:, 0]
+
+
+class SparseRows(NamedTuple):
+    """Sparse matrix by rows.
+
+    Attributes
+    ----------
+    values : ndarray
+        Non-zeros, row by row.
+    columns : ndarray of int
+        Their columns.
+    starts : ndarray of int
+        Place of the first non-zero of each row, and the number of non-zeros.
+    shape : tuple of int
+        Numbers of rows and columns.
+    """
+
+    values: Array
+    columns: Any
+    starts: Any
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, matrix: sp.csr_array) -> SparseRows:
+        """Convert a matrix of SciPy."""
+        return cls(matrix.data, matrix.indices, matrix.indptr, matrix.shape)
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """The same as a matrix of SciPy."""
+        return sp.csr_array((self.values, self.columns, self.starts), shape=self.shape)
+
+    def squared(self) -> SparseRows:
+        """Square each non-zero."""
+        return self._replace(values=self.values**2)
+
+    def times(self, x: Array) -> Array:
+        """Multiply by x (n,)."""
+        result = np.zeros(self.shape[0])
+        _sparsetools.csr_matvec(*self.shape, self.starts, self.columns, self.values, x, result)
+        return result
+
+    def transposed_times(self, x: Array) -> Array:
+        """Multiply the transpose by x (m,) or (m, r)."""
+        (m, n), result = self.shape, np.zeros((self.shape[1], *x.shape[1:]))
+        given = self.starts, self.columns, self.values, np.ravel(x), result.reshape(-1)
+        if x.ndim == 1:
+            _sparsetools.csc_matvec(n, m, *given)
+        else:
+            _sparsetools.csc_matvecs(n, m, x.shape[1], *given)
+        return result
 
 
 class _SparseBlock:
@@ -277,15 +335,15 @@ class _SparseBlock:
         self.columns = j.astype(np.int32)
         self.starts = np.searchsorted(i, np.arange(self.shape[0] + 1)).astype(np.int32)
 
-    def at(self, values: Array) -> sp.csr_array:
-        return sp.csr_array((values[self.entries], self.columns, self.starts), shape=self.shape)
+    def at(self, values: Array) -> SparseRows:
+        return SparseRows(values[self.entries], self.columns, self.starts, self.shape)
 
 
-def _beside(matrix: sp.csr_array, column: Array) -> Array:
+def _beside(matrix: SparseRows, column: Array) -> Array:
     """Transpose a sparse matrix and append a column, as dense."""
     result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
-    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-    result[matrix.indices, row] = matrix.data
+    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.starts))
+    result[matrix.columns, row] = matrix.values
     result[:, -1] = column
     return result
 

@@ -56,7 +56,7 @@ class InteriorPoint:
         The rest is dropped if it dominates the diagonal.
         """
         of = self.of
-        H = of.hessian(u, s)[len(s) :, len(s) :]
+        H = of.hessian(u, s).matrix[len(s) :, len(s) :]
         falls = 2 * np.abs(of.slope(u, s)[of.u]) / np.maximum(np.abs(u), 1e-3)
         own = np.where(H.diagonal() > 0, H.diagonal(), falls)
         base = np.maximum(own, 1e-3 * own.mean() if own.any() else 1 / max(len(u), 1))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -117,9 +117,8 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
             if monitor is None:
                 monitor = Monitor()
                 with monitor.catching_interrupts():
-                    return _polished(of, search, self._run(search, monitor))
-            status = self._run(search, monitor)
-            return _polished(of, search, status)
+                    return self._finish(search, self._run(search, monitor))
+            return self._finish(search, self._run(search, monitor))
 
     def _run(self, search: InteriorPoint, monitor: Monitor) -> str:
         """Iterate until the end, and return the status."""
@@ -138,44 +137,31 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
             if self.verbose:
                 sys.stdout.write(search.describe() + "\n")
 
-    def prepare_correction(self, program: Program) -> Callable[..., Solution]:
-        """Prepare repeated solutions with shifted constraint bounds.
+    def _finish(self, search: InteriorPoint, status: str) -> Solution:
+        """Build the solution that satisfies all constraints nearby."""
+        of, point = search.of, polish(search.of, search.point, 1e-11)
+        goal_duals, path_duals, bound_duals = search.prices
+        expansion = Expansion(of, point.u, point.s)
+        expansion.weigh(goal_duals, path_duals, np.zeros(len(path_duals)))
+        limits = np.zeros(len(of.u) + len(of.s))
+        limits[of.u] = bound_duals
+        success = point.worst <= NEGLIGIBLE and status in SOLVED
+        w, duals = of.join(point.u, point.s), (expansion.duals, limits)
+        correct = partial(self._correct, of)
+        return Solution(w, success, status, search.iterations, duals, correct=correct)
 
-        Parameters
-        ----------
-        program : Program
-            One of the programs.
+    def _correct(
+        self, of: CondensedProgram, moved: Program, monitor: Monitor | None = None
+    ) -> Solution:
+        """Find the nearest point that satisfies shifted constraint bounds.
 
-        Returns
-        -------
-        callable
-            Function of a program that differs from this one only in row limits, initial guess and
-            duals, and of a `Monitor`. It returns the nearest `Solution` that satisfies the shifted
-            rows. Near an optimum, its cost exceeds the minimum by a term of second order.
+        Near an optimum, its cost exceeds the minimum by a term of second order.
         """
-        of = CondensedProgram(program)
-
-        def correct(moved: Program, monitor: Monitor | None = None) -> Solution:
-            of.move_rows(moved)
-            u, s = moved.first[of.u], moved.first[of.s]
-            with np.errstate(all="ignore"):
-                slack = of.path_bounds.inside(of.values(u, s)[3], 1e-12, 0.2)
-                point = polish(of, evaluate(of, u, s, slack), NEGLIGIBLE)
-            # rounding grows along unstable motions, and fine steps measure the rest
-            met = point.worst <= self.tolerance
-            return Solution(of.join(point.u, point.s), met, "corrected", 1, moved.multipliers)
-
-        return correct
-
-
-def _polished(of: CondensedProgram, search: InteriorPoint, status: str) -> Solution:
-    """Build the solution that satisfies all constraints nearby."""
-    point = polish(of, search.point, 1e-11)
-    goal_duals, path_duals, bound_duals = search.prices
-    expansion = Expansion(of, point.u, point.s)
-    expansion.weigh(goal_duals, path_duals, np.zeros(len(path_duals)))
-    limits = np.zeros(len(of.u) + len(of.s))
-    limits[of.u] = bound_duals
-    success = point.worst <= NEGLIGIBLE and status in SOLVED
-    w = of.join(point.u, point.s)
-    return Solution(w, success, status, search.iterations, (expansion.duals, limits))
+        of.move_rows(moved)
+        u, s = moved.first[of.u], moved.first[of.s]
+        with np.errstate(all="ignore"):
+            slack = of.path_bounds.inside(of.values(u, s)[3], 1e-12, 0.2)
+            point = polish(of, evaluate(of, u, s, slack), NEGLIGIBLE)
+        # rounding grows along unstable motions, and fine steps measure the rest
+        met = point.worst <= self.tolerance
+        return Solution(of.join(point.u, point.s), met, "corrected", 1, moved.multipliers)
