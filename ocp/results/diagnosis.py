@@ -57,9 +57,8 @@ def build_interpolant(model: Model, states: Array, duration: float, fractions: A
 
     def state_at(share: float) -> Array:
         k, part = locate_share(fractions, share)
-        before, after = (ca.DM(state) for state in states[k : k + 2])
-        state = hermite_state(model, before, after, duration * fractions[k], part)
-        return np.asarray(ca.DM(state).full().ravel())
+        ends = states[k], states[k + 1]
+        return np.array(hermite_state(model, *ends, duration * fractions[k], part))
 
     return state_at
 

@@ -13,6 +13,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -86,7 +87,14 @@ class RowFunction:
         if not len(row):
             return np.zeros((weights.shape[1], k, k))
         first = np.flatnonzero(np.diff(row, prepend=-1))
-        forms = np.add.reduceat(along[:, :, None] * slopes[:, None, :], first, axis=0)
+        ends = np.append(first, len(row)).tolist()
+        # row by row: the products of all rows at once leave the cache
+        forms = np.concatenate(
+            [
+                np.add.reduceat(along[a:b, :, None] * slopes[a:b, None, :], [0], axis=0)
+                for a, b in pairwise(ends)
+            ]
+        )
         every = np.zeros((self._code.count, weights.shape[1]))
         every[self._rows] = weights
         return np.asarray((every[row[first]].T @ forms.reshape(len(forms), -1)).reshape(-1, k, k))

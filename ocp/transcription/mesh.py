@@ -211,7 +211,7 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
-    """Evaluate the cubic Hermite interpolant of two states.
+    """Evaluate the cubic Hermite interpolant of two states, arrays or expressions.
 
     `h` is the length of the interval [s], `share` the fraction of it.
     """
@@ -222,7 +222,8 @@ def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
     change = (q1 - q0) / h
     v = 6 * s * (1 - s) * change + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1
     linear = ((1 - s) * first + s * last for first, last in ((a0, a1), (clock0, clock1)))
-    return ca.vertcat(q, v, *linear)
+    parts = q, v, *linear
+    return np.concatenate(parts) if isinstance(x, np.ndarray) else ca.vertcat(*parts)
 
 
 @dataclass(frozen=True, eq=False)
