@@ -351,11 +351,38 @@ def replay_tracked(plan: PlanResult) -> Trajectory:
 
 
 def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
-    """Compute the planned states at given times.
+    """Compute the planned states at given times."""
+    states = trace_motion(model, plan.time, plan.trajectory.states, plan.control, time)
+    if not np.all(np.abs(states) <= LARGEST):
+        raise ValueError(
+            "plan has states that are not finite, or at which the linearization is not: give a plan that succeeded, or more intervals"
+        )
+    return states
+
+
+def trace_motion(model: Model, nodes: Array, states: Array, control: Array, time: Array) -> Array:
+    """Compute the states of a planned motion at given times.
 
     RK4 steps start from the preceding mesh point, so that errors do not accumulate.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the motion.
+    nodes : ndarray, shape (K + 1,)
+        Mesh points [s].
+    states : ndarray, shape (K + 1, nx)
+        Planned states there.
+    control : ndarray, shape (K, nu) or (K + 1, nu)
+        Controls: piecewise constant, or piecewise linear.
+    time : ndarray, shape (n,)
+        Times [s].
+
+    Returns
+    -------
+    ndarray, shape (n, nx)
+        States at these times.
     """
-    nodes = plan.time
     k = np.clip(
         np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2
     )
@@ -363,20 +390,16 @@ def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
         np.isclose(time, nodes[k], rtol=0, atol=1e-9 * nodes[-1]), 0.0, time - nodes[k]
     )
     advance = RungeKutta4().step(model.ode).map(len(time))
-    x = ca.DM(plan.trajectory.states[k].T)
+    x = ca.DM(states[k].T)
     for part in range(STEPS):
         x = advance(
             x,
-            profile_at(plan.control, nodes, nodes[k] + (part + 0.5) / STEPS * since).T,
+            profile_at(control, nodes, nodes[k] + (part + 0.5) / STEPS * since).T,
             since[None] / STEPS,
         )
-    states: Array = x.full().T
-    states[-1] = plan.trajectory.states[-1]
-    if not np.all(np.abs(states) <= LARGEST):
-        raise ValueError(
-            "plan has states that are not finite, or at which the linearization is not: give a plan that succeeded, or more intervals"
-        )
-    return states
+    found: Array = x.full().T
+    found[-1] = states[-1] if time[-1] >= nodes[-1] else found[-1]
+    return found
 
 
 def _regulate(

@@ -19,9 +19,9 @@ from ocp.results.result import PlanResult, Replayed
 from ocp.sampling.method import solve_sampled
 from ocp.sampling.solver import Sampling
 from ocp.search.plan_record import record_plan
-from ocp.search.policy import Attempt, PlannedGuess
+from ocp.search.policy import Attempt, PlannedGuess, repeat_method
 from ocp.search.replays import replay_plan
-from ocp.search.rest_lengths import convert_outcome
+from ocp.search.rest_lengths import convert_outcome, tighten_rates
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton.method import REMARKS
@@ -103,9 +103,31 @@ def _plan_force_densities(
 
     The result is converted to rest lengths or their rates.
     """
-    found, target = run_attempt(twin, attempt._replace(twin=None))
+    found, target = _find_force_densities(task.problem, twin, attempt)
     outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
     return outcome, task.target if task.problem.model.na else target
+
+
+def _find_force_densities(
+    problem: Problem, twin: PlanningTask, attempt: Attempt
+) -> tuple[Outcome, Target | None]:
+    """Run an attempt in force densities whose rest lengths keep to the rate limits."""
+    fractions = attempt.transcription.fractions
+    found, target = run_attempt(twin, attempt._replace(twin=None))
+    iterations = found.iterations
+    for _ in range(2):
+        tighter = tighten_rates(problem, twin.problem, fractions, found)
+        if tighter is None:
+            break
+        plan = record_plan(twin, attempt.transcription, attempt.solver, found)
+        twin = twin._replace(problem=tighter)
+        once_more = repeat_method(tighter, replace(plan, success=True))
+        again, reached = run_attempt(twin, once_more or attempt._replace(twin=None, guess=plan))
+        iterations += again.iterations
+        if not (again.success or again.coarse):
+            break
+        found, target = again, reached
+    return found._replace(iterations=iterations), target
 
 
 def plan_guess(task: PlanningTask, attempt: Attempt) -> tuple[Attempt, int]:
@@ -118,7 +140,7 @@ def plan_guess(task: PlanningTask, attempt: Attempt) -> tuple[Attempt, int]:
     first = attempt.guess
     if not isinstance(first, Attempt) or first.twin is None:
         return attempt, 0
-    found, _ = run_attempt(first.twin, first._replace(twin=None))
+    found, _ = _find_force_densities(task.problem, first.twin, first)
     if not (found.success or found.coarse):
         return attempt._replace(guess=None), found.iterations
     own = convert_outcome(task.problem, first.transcription.fractions, found)

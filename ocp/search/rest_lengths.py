@@ -7,16 +7,19 @@ of the strings do not limit the mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 
+from ocp.control.lqr import trace_motion
 from ocp.guess.initial_guess import TrajectoryGuess
-from ocp.problem.bounds.bound import Limit, PathBound
+from ocp.problem.bounds.bound import Limit, PathBound, RateBound, drop_infinite
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
     RestLengthLimits,
     RestLengthRateLimits,
+    combine_rates,
 )
 from ocp.problem.control import (
     build_force_density_model,
@@ -29,7 +32,6 @@ from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import Instant, forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
-from ocp.results.diagnosis import build_interpolant
 from ocp.results.report import violated_limits
 from ocp.results.result import STEPS
 from ocp.solvers.base import Outcome
@@ -70,14 +72,41 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
         return None
     stiffness = problem.model.scene.structure.stiffness
     bounds = [
-        replace(bound, stiffness=None)
-        if isinstance(bound, (RestLengthLimits, RestLengthRateLimits))
-        else bound
+        replace(bound, stiffness=None) if isinstance(bound, RestLengthLimits) else bound
         for bound in problem.bounds
+        if not isinstance(bound, RestLengthRateLimits)
     ]
+    rates = combine_rates(problem.model.scene.structure, problem.bounds)
+    if np.isfinite(rates).any():
+        margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
+        bounds.append(RestLengthSpeeds((1 - margin) * rates))
     bounds.append(ForceDensityLimits(upper=(1 - RESOLUTION) * stiffness))
     model = build_force_density_model(problem.model)
     return replace(problem, model=model, bounds=bounds)
+
+
+@dataclass(frozen=True, eq=False)
+class RestLengthSpeeds(RateBound):
+    """Limits (α,) [m/s] of rates of rest lengths at the start of intervals, and of their means.
+
+    Converted rest lengths ρ = s (1 − γ/k) + c ṡ/k are held to the limits on a finer mesh. Limits of
+    mean rates alone would permit rates that alternate within the intervals.
+    """
+
+    rate: Array
+
+    def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
+        """Build the rates under force densities that are linear in between."""
+        structure = before.model.scene.structure
+        k, c = ca.DM(structure.stiffness), ca.DM(structure.damping)
+        first, last = (now.lengths * (1 - now.force_density / k) for now in (before, after))
+        changes = (after.force_density - before.force_density) / interval
+        damped = c / k * (after.rates - before.rates) / interval
+        at_start = before.rates * (1 - before.force_density / k) - before.lengths * changes / k
+        rates = ca.vertcat(at_start + damped, (last - first) / interval + damped)
+        names = tuple(f"rest length rate of string {i}" for i in range(len(self.rate)))
+        limits = np.tile(self.rate, 2)
+        return drop_infinite(Limit(rates, -limits, limits, 2 * names, "m/s"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +169,33 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
     forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
     states = drop_internal_states(problem.model, guess.states)
     return TrajectoryGuess(states, forces, guess.duration)
+
+
+def tighten_rates(
+    problem: Problem, twin: Problem, fractions: Array, found: Outcome
+) -> Problem | None:
+    """Tighten the rate limits of a problem in force densities.
+
+    They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
+    between. Returns None if they do not.
+    """
+    locked = lock_winches(problem) if problem.model.na else problem
+    structure = problem.model.scene.structure
+    limits = combine_rates(structure, problem.bounds)
+    if locked is None or not (found.success or found.coarse) or not np.isfinite(limits).any():
+        return None
+    converter = _Converter(locked, fractions, found)
+    nodes = converter.nodes(converter.count_parts())
+    rates = np.diff(converter.evaluate(nodes)[2], axis=0) / np.diff(found.duration * nodes)[:, None]
+    excess = np.abs(rates).max(axis=0) / limits
+    if excess.max() <= 1.0 + RESOLUTION:
+        return None
+    share = (1.0 - RESOLUTION) / np.maximum(excess, 1.0)
+    bounds = [
+        replace(bound, rate=bound.rate * share) if isinstance(bound, RestLengthSpeeds) else bound
+        for bound in twin.bounds
+    ]
+    return replace(twin, bounds=bounds)
 
 
 def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
@@ -220,7 +276,8 @@ class _Converter:
         self.model = build_smooth_model(problem.model)
         self.intervals, self.controls = fractions, found.force_density
         self.limits = problem.control_limits
-        self.state_at = build_interpolant(self.model, found.states, found.duration, fractions)
+        self.forces = build_force_density_model(problem.model)
+        self.states, self.duration = found.states, found.duration
 
     def nodes(self, parts: int) -> Array:
         """Divide each mesh interval into equal parts.
@@ -235,8 +292,11 @@ class _Converter:
         `shares` are the times as fractions of the duration. The rest lengths are those of elastic
         strings with the planned force densities. They depend linearly on these.
         """
-        states = np.array([self.state_at(share) for share in shares])
-        planned = profile_at(self.controls, self.nodes(1), shares)
+        nodes = self.nodes(1)
+        states = trace_motion(
+            self.forces, self.duration * nodes, self.states, self.controls, self.duration * shares
+        )
+        planned = profile_at(self.controls, nodes, shares)
         length = np.tile(self.model.scene.structure.string_lengths, (len(shares), 1))
         zero, full = (forces_of(self.model, states, part * length) for part in (0.0, 1.0))
         rest = length * (zero - planned) / (zero - full)
@@ -249,4 +309,4 @@ class _Converter:
         states, planned, _ = self.evaluate((nodes[1:] + nodes[:-1]) / 2)
         error = np.abs(forces_of(self.model, states, (rest[1:] + rest[:-1]) / 2) - planned).max()
         typical = float(np.sqrt(np.mean(planned**2)))
-        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, STEPS))
+        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, 2 * STEPS))
