@@ -101,7 +101,7 @@ def colored_fraction(image: np.ndarray) -> float:
 
 
 def wait_until(page: Any, condition: Callable[[], Any], told: str) -> Any:
-    """Return the first true value of `condition`; fails where it stays false too long."""
+    """Return the first true value of `condition`; fail after a time limit."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if value := condition():

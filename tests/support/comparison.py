@@ -12,7 +12,7 @@ BOTH = pytest.mark.parametrize("coordinates", ["reduced", "full"])
 
 
 def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> np.ndarray:
-    """N̈ (n, 3) of physical nodes."""
+    """Compute the accelerations N̈ (n, 3) of physical nodes."""
     rate = model.split(
         model.ode(x, model.initial_control if u is None else u).full().ravel()
     ).velocities
@@ -21,7 +21,7 @@ def accelerations(model: Model, x: np.ndarray, u: np.ndarray | None = None) -> n
 
 
 def relative(ours: np.ndarray, theirs: np.ndarray) -> float:
-    """The largest difference relative to the largest entry (to 1 where everything vanishes)."""
+    """Compute the largest difference relative to the largest entry."""
     return float(abs(ours - theirs).max(initial=0.0) / max(abs(theirs).max(initial=0.0), 1e-12))
 
 

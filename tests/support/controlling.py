@@ -32,7 +32,7 @@ def problem(*bounds):
 
 
 def misfit(trajectory):
-    """Of the distances between nodes, at the end."""
+    """Compute the largest error of node distances at the end of a trajectory."""
     pairs = list(combinations(range(6), 2))
     return max(
         abs(
@@ -44,7 +44,7 @@ def misfit(trajectory):
 
 
 def gust():
-    """A heavier prism, pulled at two nodes in opposite directions."""
+    """Build a heavier prism with opposite forces on two nodes."""
     wind = np.zeros((6, 3))
     wind[4, 0], wind[0, 0] = 0.3, -0.3
     return driven(prism(1.0, bar_mass=1.1), forces=tc.NodalForce(wind))

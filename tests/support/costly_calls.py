@@ -59,7 +59,7 @@ def tracker() -> ocp.Tracker:
 
 @cache
 def reeled() -> ocp.Plan:
-    """A plan of winding speeds, which has not converged."""
+    """Build a plan with rest-length rates as control, which has not converged."""
     wound = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0, damping=2.0)
     model = tc.Model(tc.Scene(wound, control=tc.RestLengthRate()))
     goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.75).string_lengths), ocp.AtRest()]
@@ -69,12 +69,12 @@ def reeled() -> ocp.Plan:
 
 @cache
 def costly_calls() -> dict[str, Call]:
-    """Each with input that is right."""
+    """List public functions that simulate, solve or draw, with valid arguments."""
     return measuring_calls() | planning_calls() | drawing_calls()
 
 
 def measuring_calls() -> dict[str, Call]:
-    """What runs a motion more than once, or writes C."""
+    """List functions that simulate repeatedly, or write C code."""
     start = {"state": timed().initial_state, "control": None}
     study = {"models": timed(), "t_end": 0.01, "schemes": (tc.RungeKutta4(),), "steps": (0.01,), "reference": None, "state": None, "control": None,
              "corrections": (None,), "compiled": (False,), "repeats": 1, "progress": False}  # fmt: skip
@@ -149,7 +149,7 @@ def measuring_calls() -> dict[str, Call]:
 
 
 def planning_calls() -> dict[str, Call]:
-    """What makes plans, follows them, or writes them as C."""
+    """List functions that compute plans, track them, or write them as C code."""
     m = cross()
     return {
         "solve": (
@@ -246,7 +246,7 @@ def planning_calls() -> dict[str, Call]:
 
 
 def drawing_calls() -> dict[str, Call]:
-    """Pictures."""
+    """List functions that draw pictures."""
     motion, named = trajectory(), {"title": "a title", "path": "picture.svg"}
     curves = {"RungeKutta4": [(1e-3, 0.1), (1e-6, 0.6)]}
 

@@ -12,7 +12,7 @@ import tenscasadi as tc
 
 
 def square(case: Any) -> Any:
-    """Square of a number, and who computed it."""
+    """Compute the square of a number; also return the process that did."""
     if case["x"] == "raise":
         raise ZeroDivisionError("on purpose")
     if case["x"] == "interrupt":
@@ -29,7 +29,7 @@ def square(case: Any) -> Any:
 
 
 def interrupt(case: Any) -> Any:
-    """Ctrl-C for the process that asks, in the third case."""
+    """Send Ctrl-C to the parent process in the third case."""
     if case["number"] == 2:
         while not list(Path(case["folder"]).glob("*.npz")):
             time.sleep(0.005)
@@ -53,6 +53,6 @@ def vibrate(case: Any) -> Any:
 
 
 def slow(case: Any) -> Any:
-    """Some tenths of a second."""
+    """Wait for some tenths of a second."""
     time.sleep(0.3)
     return {"double": 2 * case, "process": os.getpid()}

@@ -14,7 +14,7 @@ HEIGHT = 0.6
 
 
 def low_prism():
-    """The equilibrium prism with bars of 1 m, 0.6 m high."""
+    """Build a prism of 0.6 m height with bars of 1 m in equilibrium."""
     return tc.shapes.prism(
         3, np.sqrt(1 - HEIGHT**2) / (2 * np.sin(np.radians(75))), HEIGHT, bar_mass=0.3
     )
@@ -22,7 +22,7 @@ def low_prism():
 
 @cache
 def standing(stiffness=1e4, damping=60.0, **ground):
-    """Its model on a ground."""
+    """Build the model of the prism on a ground."""
     surface = tc.Ground(
         **{
             "stiffness": stiffness,
@@ -47,6 +47,9 @@ def flight(rise, **changes):
 
 
 def jumping(*phases, model=None, **changes):
-    """A problem of these phases, with force densities between 5 and 500 N/m, at the least effort."""
+    """Build a minimum-effort problem with given phases.
+
+    Force densities are between 5 and 500 N/m.
+    """
     given = {"bounds": [ocp.ForceDensityLimits(5.0, 500.0)], "costs": [ocp.Effort()], **changes}
     return ocp.Problem(standing() if model is None else model, phases=phases, **given)

@@ -11,12 +11,12 @@ PINNED = tc.Model(tc.Scene(PRISM.replace(pinned=(0, 1, 2)), control=tc.ForceDens
 
 
 def problem(goals, *bounds, model=PINNED, lower=1.0):
-    """A problem of 1 s with the least squares of force densities."""
+    """Build a problem of 1 s that minimizes the squared force densities."""
     limits = [ocp.ForceDensityLimits(lower, 200.0), *bounds]
     return ocp.Problem(model, 1.0, goals=goals, bounds=limits, costs=[ocp.Effort()])
 
 
 def rise(height=0.05):
-    """Goals: one node rises, at rest."""
+    """Build goals: one node rises and is at rest."""
     place = {3: (None, None, PRISM.nodes[3, 2] + height)}
     return [ocp.NodePositions(place), ocp.AtRest()]

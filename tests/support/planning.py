@@ -33,7 +33,7 @@ def driven(structure, **options):
 
 
 def raising(**changes):
-    """The prism grows from 1.0 to 1.1 m, from rest to rest."""
+    """Build the problem of a prism that grows from 1.0 to 1.1 m, from rest to rest."""
     goals = [ocp.StringLengths(prism(1.1).string_lengths), ocp.AtRest()]
     given = {
         "model": driven(prism(1.0)),
@@ -95,7 +95,7 @@ def taller(*bounds):
 
 
 def integrated(plan, share=1.0):
-    """The state at a share of the plan's duration, by SciPy from force densities that are held in intervals."""
+    """Integrate the planned force densities by SciPy up to a fraction of the duration."""
     model, state = plan.model, plan.trajectory.states[0]
     for begin, end, gamma in zip(plan.time, plan.time[1:], plan.force_density, strict=False):
         end = min(end, share * plan.time[-1])

@@ -22,7 +22,7 @@ def raised(*bounds, costs=(ocp.Effort(),), duration=1.0, intervals=10, model=MOD
 
 
 def along(plan, read, model=MODEL):
-    """`read` of an instant at the start of every interval, (K, entries)."""
+    """Evaluate a function of an instant at the start of every interval (K, entries)."""
     now = symbolic(model)
     function = ca.Function("read", [now.state, now.control, now.time], [read(now)])
     states = plan.trajectory.states[:-1]
@@ -35,7 +35,7 @@ def along(plan, read, model=MODEL):
 
 
 def binds(plan, free, read, limit, upper=True):
-    """The limit is broken without it, and met with it."""
+    """Check that a limit is violated without its bound and satisfied with it."""
     sign = 1.0 if upper else -1.0
     before, after = ((sign * along(one, read)).max() for one in (free, plan))
     assert plan.success, plan.message

@@ -19,7 +19,7 @@ def prism(control: Any = None, coordinates: Any = "reduced", **options: Any) -> 
 
 
 def moving(model: Model, speed: float = 0.1) -> np.ndarray:
-    """The model's start with random velocities that no bar resists."""
+    """Compute an initial state with random velocities that satisfy the bars."""
     shape = model.structure.nodes.shape
     velocities = speed * np.random.default_rng(3).normal(size=shape) * ~model.structure.fixed
     return build_projection(model)(model.state(model.structure.nodes, velocities)).full().ravel()
@@ -32,7 +32,7 @@ def by_hand(
     h: float,
     correction: Projection | None = None,
 ) -> np.ndarray:
-    """The states that simulate should give, by calls of the step from Python."""
+    """Compute the states of `simulate` by separate calls of the step Function."""
     step = RungeKutta4().step(model.ode)
     project = correction.step(model) if correction else None
     states = [x]

@@ -42,7 +42,7 @@ def say(page: Any, **message: Any) -> None:
 
 
 def wait_for(found: Callable[[], Any], told: str, seconds: float = 20.0) -> None:
-    """Return once `found` is true; fails after so many seconds."""
+    """Wait until `found` is true; fail after a time limit."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if found():
