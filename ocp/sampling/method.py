@@ -178,7 +178,7 @@ class _Method:
                     continue
                 for one in found[:2]:
                     self._polish(one.whole, one.duration, directions)
-                    if self._stopped or self._miss <= 1.0:
+                    if self._stopped or self._miss <= 0.5:
                         return
 
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
