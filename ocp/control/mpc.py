@@ -240,7 +240,9 @@ class Mpc:
             or NaN in the first call. ``status`` is 0, or 1 if a quadratic program was not solved,
             as for a state that is NaN; ``after`` then has its controls without improvement.
         """
-        solver = self.quadratic_program.interpreted() if solver is None else solver
+        if solver is None:
+            solver = self.quadratic_program.interpreted()
+        instance("solver", solver, ca.Function, "a casadi.Function or None")
         time, state, before = (
             ca.MX.sym("time"),
             ca.MX.sym("state", self.model.nx),

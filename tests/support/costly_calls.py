@@ -207,6 +207,7 @@ def planning_calls() -> dict[str, Call]:
             ocp.track,
             {"plan": reeled(), "control_scale": 1.0, "lower": -1.0, "upper": np.ones(2)},
         ),
+        "Mpc.function": (mpc().function, {"solver": None}),
         "Mpc.control": (mpc().control, {"time": 0.0, "state": m.initial_state}),
         "Tracker.control": (tracker().control, {"time": 0.0, "state": m.initial_state}),
         "track": (
