@@ -39,7 +39,7 @@ _WORDS = {
     "contradicting-goals": "the goals contradict each other",
     "contradicting-bounds": "Problem.bounds leave no controls at the start",
     "no-control": "Problem.model has the control",
-    "infeasible-point": "no plan near this one meets all constraints",
+    "infeasible-point": "the constraint violation does not decrease near",
     "narrow-limits": "intervals there is a motion with",
     "solver-failed": "the solver could not go on",
     "contact-derivatives": "through contact with a ground derivatives mislead",
