@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Protocol, runtime_checkable
 
@@ -62,6 +62,8 @@ class ClosedLoop(ReadOnlyArrays):
         States at all time steps.
     seconds : ndarray, shape (D,)
         Wall time to compute the control of each sampling period [s].
+    failed : ndarray of bool, shape (D,)
+        Whether the controller reported a failure, such as `Mpc.failed`.
 
     Examples
     --------
@@ -77,6 +79,7 @@ class ClosedLoop(ReadOnlyArrays):
 
     trajectory: Trajectory
     seconds: Array
+    failed: Array
 
     def __repr__(self) -> str:
         slowest = f"{self.seconds.max(initial=0.0):.2g} s"
@@ -166,19 +169,23 @@ def run(
     x = _find_start(plant, state)
     traced = _trace_functions(plant, x, float(ends[-1]))
     periods = _run_periods(controller, traced, x, ends, n, disturbance)
-    states, controls, seconds, interrupted = [x[None]], [], [], False
+    states, controls, seconds, failed, interrupted = [x[None]], [], [], [], False
     try:
         for part, u, waited in tqdm(
             periods, total=len(ends) - 1, unit=" decisions", disable=not progress
         ):
             seconds.append(waited)
+            failed.append(bool(getattr(controller, "failed", False)))
             if part is not None:
                 states.append(part)
                 controls.append(np.repeat(u[None], n, axis=0))
     except KeyboardInterrupt:
         interrupted = True
     trajectory = _record(traced, plant.scene, states, controls, ends, n, sum(seconds), interrupted)
-    return ClosedLoop(trajectory, np.array(seconds))
+    if count := sum(failed):
+        note = f"the controller found no solution in {count} of {len(failed)} decisions"
+        trajectory = replace(trajectory, message=f"{trajectory.message}; {note}")
+    return ClosedLoop(trajectory, np.array(seconds), np.array(failed, dtype=bool))
 
 
 def _trace_functions(plant: Model, x: Array, duration: float) -> Model:

@@ -186,10 +186,18 @@ class Mpc:
         )
         if time < self._last.time:
             self.reset()
-        inputs = [np.array([time]), state, *self._last[1:]]
-        gamma, _ = self._decide(*inputs if self._limits.from_last_decision else inputs[:3])
-        self._last = _MpcDecision(time, gamma, state)
+        inputs = [np.array([time]), state, *self._last[1:3]]
+        gamma, status = self._decide(*inputs if self._limits.from_last_decision else inputs[:3])
+        self._last = _MpcDecision(time, gamma, state, bool(status))
         return np.array(gamma[0])
+
+    @property
+    def failed(self) -> bool:
+        """Whether a quadratic program of the last decision was not solved.
+
+        Its controls are then those of the previous decision, shifted by a period.
+        """
+        return self._last.failed
 
     @property
     def formulation(self) -> Formulation:
@@ -354,6 +362,7 @@ class _MpcDecision(NamedTuple):
     time: float
     force_density: Array
     state: Array
+    failed: bool = False
 
 
 def _check_plan(plan: PlanResult | None, model: Model) -> None:

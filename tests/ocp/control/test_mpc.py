@@ -78,6 +78,17 @@ def test_another_run_begins_anew():
     assert np.array_equal(first.control, second.control)
 
 
+def test_runs_count_decisions_without_a_solution():
+    """The sensitivities of a state at 1e98 m/s are not finite."""
+    controller = ocp.Mpc(problem(), 0.05, 5)
+    assert not ocp.run(controller, 0.2).failed.any()
+    held = ocp.run(controller, 0.2, disturbance=lambda time, x: x * 1e98 if time > 0.07 else x)
+    assert list(held.failed) == [False, False, True]
+    assert not held.trajectory.success
+    assert "no solution in 1 of 3 decisions" in held.trajectory.message
+    assert controller.failed
+
+
 def test_a_plan_passes_waypoints_for_the_controller():
     goals = [
         ocp.NodePositions({1: (0.3, 0.1, None)}),
