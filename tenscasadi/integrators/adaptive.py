@@ -88,7 +88,8 @@ class ErrorControl(NamedTuple):
 def build_attempt(control: ErrorControl, tableau: Tableau) -> ca.Function:
     """Build one trial step.
 
-    Function "attempt" (z, memory, u, limits) → (z, memory).
+    Function "attempt" (z, memory, u, limits) → (z, memory). `control` are the Functions of
+    `build_control`, and `tableau` has the coefficients of the Runge-Kutta method.
     """
     decide = control.decide
     arguments: Any = [ca.MX.sym(decide.name_in(i), *decide.size_in(i)) for i in range(4)]
@@ -200,7 +201,10 @@ def _find_events(
 ) -> Events:
     """Find the changes of contact and slack within a trial step.
 
-    See `build_root` for `path`. `after` is the final z; errors are divided by `scale`.
+    `gaps` are the switching functions of `build_events`, `ode` is the Function of `build_mode_ode`,
+    and `m` the state of the step-size control. `path` describes the step by the inputs of `_path`.
+    `after` is the final z with the energy supplied. `scale` has the tolerance of each state entry,
+    which divides its error. `longest` is the largest step [s].
     """
     _, _, end, _, u, trial, mode = path
     mode_after = gaps(end, u) > 0
@@ -221,6 +225,7 @@ def _find_events(
 def _break_strings(model: Model, z: Any, u: Any, power: bool) -> tuple[Any, Any]:
     """Mark strings that are overloaded at the start of a step as broken.
 
+    u is the control and the parameters. With `power`, the last entry of z is the energy supplied.
     Returns a flag that there are such strings, None if no string can break, and z after the change.
     """
     if not count_breakable(model):
@@ -240,10 +245,10 @@ def _decide(
 ) -> tuple[Any, Any]:
     """Accept or reject a trial step, and choose the next length.
 
-    The trial step has the length `trial` [s] and the scaled error norm `error` of a method of this
-    order. Steps are at most `longest` s. Steps from an `overloaded` start are repeated from the
-    start with broken strings. Returns whether the step is repeated, and the new state of the
-    step-size control.
+    `m` is the state of the step-size control. The trial step has the length `trial` [s] and the
+    scaled error norm `error` of a method of this order. Steps are at most `longest` s. Steps from
+    an `overloaded` start are repeated from the start with broken strings. Returns whether the step
+    is repeated, and the new state of the step-size control.
     """
     # Step-size factor of Hairer, Nørsett, Wanner I, (II.4.13).
     growth = ca.fmin(8.0, ca.fmax(0.2, 0.9 * ca.fmax(error, 1e-300) ** (-1 / order)))
@@ -295,8 +300,9 @@ def _decide(
 def _aim(m: Memory, root: Any) -> Memory:
     """Choose the next trial step that locates an event in a bracket.
 
-    It ends half the allowed overshoot after the interpolated root, or in the middle if that is
-    outside or converges slowly.
+    The bracket is from `m.low` to `m.high`. The step ends half the allowed overshoot after the
+    interpolated `root` [s]. It ends in the middle of the bracket if that is outside or converges
+    slowly.
     """
     aim = root + m.allowed / 2
     inside = ca.logic_and(ca.logic_and(aim > m.low, aim < m.high), m.trials < MAX_INTERPOLATIONS)
@@ -306,8 +312,9 @@ def _aim(m: Memory, root: Any) -> Memory:
 def _jump(ode: ca.Function, moving: int, latch: ca.Function | None) -> ca.Function:
     """Build the norm of the change of ẋ between two modes.
 
-    Function (z, w, w_after, scale, changed) → norm. It evaluates nothing and returns 0 if no mode
-    has changed. `latch` marks overloaded strings as broken.
+    `ode` is the Function of `build_mode_ode`, and `moving` the number of state entries in the norm.
+    Function (z, w, w_after, scale, changed) → norm, in which w is (u, mode). It evaluates nothing
+    and returns 0 if no mode has changed. `latch` marks overloaded strings as broken.
     """
     z, w, after = (
         ca.MX.sym("z", ode.sparsity_in(0)),

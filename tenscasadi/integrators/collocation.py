@@ -106,7 +106,7 @@ class Collocation(NamedScheme, kind="Collocation"):
     def _close(self, step: ca.Function, name: str) -> ca.Function:
         """Insert the tolerance as a constant into a step Function.
 
-        (x, u, h, tolerance) becomes (x, u, h).
+        (x, u, h, tolerance) becomes (x, u, h). The state's name is `name`, x or z.
         """
         symbols = [ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3)]
         return ca.Function(
@@ -116,7 +116,7 @@ class Collocation(NamedScheme, kind="Collocation"):
     def _newton(self, ode: ca.Function) -> ca.Function:
         """Build a step by Newton's method for all stages.
 
-        Function (x, u, h, tolerance) → x_next.
+        `ode` (x, u) → ẋ are the equations of motion. Function (x, u, h, tolerance) → x_next.
         """
         A, b = self.coefficients
         nx, s = ode.size1_in(0), self.degree
@@ -199,7 +199,8 @@ class Collocation(NamedScheme, kind="Collocation"):
     def _advance_by_sweeps(self, model: Model, power: ca.Function | None) -> ca.Function:
         """Build a step by triangular iteration over the stages.
 
-        Function (z, u, h, tolerance) → z_next.
+        Function (z, u, h, tolerance) → z_next. With a Function `power`, z has one more entry, its
+        integral.
         """
         A, b = self.coefficients
         nx = model.nx

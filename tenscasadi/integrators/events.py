@@ -170,8 +170,9 @@ def build_latch(model: Model, work: bool) -> ca.Function:
 def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
     """Build a search for mode changes within a step.
 
-    The Function returns the fraction of the step, a multiple of ¼, at which its cubic interpolation
-    is first in another mode, else 0. See `_path` for the inputs.
+    `gaps` are the switching functions of `build_events`. The Function returns the fraction of the
+    step, a multiple of ¼, at which its cubic interpolation is first in another mode, else 0. See
+    `_path` for the inputs.
     """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     found = ca.MX(0)
@@ -185,8 +186,10 @@ def build_hidden(gaps: ca.Function, model: Model) -> ca.Function:
 def build_root(gaps: ca.Function, model: Model) -> ca.Function:
     """Build a search for the time of the first event in a bracket.
 
-    Function (*path, low, high, wanted) → time [s] at which the cubic interpolation of a step
-    switches. It evaluates nothing unless `wanted`.
+    `gaps` are the switching functions of `build_events`. Function (*path, low, high, wanted) → time
+    [s] at which the cubic interpolation of a step switches. The bracket is from `low` to `high`,
+    times from the start of the step; see `_path` for the other inputs. It evaluates nothing unless
+    `wanted`.
     """
     x, slope, after, end, u, h, mode = path = _path(gaps, model)
     t = ca.MX.sym("t")
@@ -240,7 +243,8 @@ def search_root(value: ca.Function, path: list[ca.MX]) -> ca.Function:
 def _path(gaps: ca.Function, model: Model) -> list[ca.MX]:
     """Create the symbols that describe a step for its interpolation.
 
-    They are x and ẋ, the final x and ẋ, u, the length [s] and the mode.
+    They are x and ẋ, the final x and ẋ, u, the length [s] and the mode. `gaps`, the switching
+    functions of `build_events`, give the size of the mode.
     """
     ends = [ca.MX.sym(name, model.nx) for name in ("x", "slope", "after", "end")]
     return [*ends, ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))]

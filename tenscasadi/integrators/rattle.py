@@ -166,7 +166,11 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 
 
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
-    """Build drift, kick and drift as Function (z, u, h) → z_next."""
+    """Build drift, kick and drift as Function (z, u, h) → z_next.
+
+    The `kick` is the Runge-Kutta method for the velocities and internal states. Constraints are solved by `iterations`
+    Newton iterations. With a Function `power`, z has one more entry, its integral.
+    """
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
     mech, scene = model.with_masses(u), model.scene
@@ -231,7 +235,7 @@ def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> A
     """Find positions that satisfy bar and joint constraints.
 
     Displacements along the bars of N correct the `free` positions (3×n). D (3×c) are the prescribed
-    positions of joints N P = D.
+    positions of joints N P = D. Coupled constraints take the given number of Newton iterations.
     """
     if not mech.constrained:
         return free
@@ -248,10 +252,10 @@ def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> A
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
     """Find positions that satisfy coupled constraints, by Newton's method.
 
-    It starts at the `free` positions (3×n), with impulses along the bar vectors B. D (3×c) are the
-    prescribed positions of joints N P = D. Where bars align, the impulses become dependent and the
-    iteration would diverge. The best iterate is used; impulses along the current bars remove the
-    remaining residual.
+    It starts at the `free` positions (3×n), with impulses along the bar vectors B (3×β). D (3×c)
+    are the prescribed positions of joints N P = D. Where bars align, the impulses become dependent
+    and the iteration would diverge. The best iterate is used; impulses along the current bars
+    remove the remaining residual.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:

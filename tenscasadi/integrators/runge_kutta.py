@@ -258,7 +258,8 @@ class DormandPrince853(EmbeddedRungeKutta, kind="DormandPrince853"):
 def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
     """Build one step of a Runge-Kutta method.
 
-    Function "step" (x, u, h) → x_next.
+    `ode` (x, u) → ẋ are the equations of motion, and `tableau` the coefficients. Function "step"
+    (x, u, h) → x_next.
     """
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
     slopes = _slopes(tableau, ode, x, u, h, select_stages(tableau))
@@ -270,8 +271,9 @@ def build_step(tableau: Tableau, ode: ca.Function) -> ca.Function:
 def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
     """Build one step with error estimates.
 
-    Function "trial" (x, u, h) → (x_next, errors, slope, slope_next). The errors are (nx, rows of
-    `tableau.errors`). The slopes are those at x and x_next.
+    `ode` (x, u) → ẋ are the equations of motion. Function "trial" (x, u, h) → (x_next, errors,
+    slope, slope_next). The errors are (nx, rows of `tableau.errors`). The slopes ẋ are those at x
+    and x_next.
     """
     x, u, h = ca.MX.sym("x", ode.sparsity_in(0)), ca.MX.sym("u", ode.sparsity_in(1)), ca.MX.sym("h")
     slopes = _slopes(tableau, ode, x, u, h, set(range(len(tableau.b))))
@@ -318,8 +320,8 @@ def select_stages(tableau: Tableau) -> set[int]:
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
     """Compute x + h Σ weight · ẋ over the stages.
 
-    Stages of equal weight are added first, since each product is a pass over the state. Many
-    weights become one matrix product.
+    The time derivatives ẋ of the stages are `slopes`. Stages of equal weight are added first, since
+    each product is a pass over the state. Many weights become one matrix product.
     """
     used = {
         weight: reduce(add, (slopes[k] for k in equal))

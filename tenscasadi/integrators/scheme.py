@@ -137,7 +137,7 @@ _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 def check_relative_tolerance(field: str, value: Any) -> float:
     """Check that a relative tolerance is in [1e-15, 1).
 
-    Raises TypeError, ValueError.
+    The message names `field`. Raises TypeError, ValueError.
     """
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:
@@ -163,8 +163,8 @@ def extent(model: Model) -> float:
 def add_work(ode: ca.Function, power: ca.Function) -> ca.Function:
     """Append the work of forces to an ordinary differential equation.
 
-    `power` is (x, u) → W. The result is (z, u) → ż with z = (x, work), so the scheme integrates the
-    work like a state.
+    `ode` is (x, u) → ẋ, and `power` (x, u) → W. The result is (z, u) → ż with z = (x, work), so the
+    scheme integrates the work like a state.
     """
     x, u, work = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1)), ca.MX.sym("work")
     return ca.Function(
@@ -206,7 +206,7 @@ def check_ode(ode: ca.Function) -> None:
 def check_scheme(scheme: Any, field: str = "scheme") -> None:
     """Raise TypeError unless `scheme` is an integration scheme.
 
-    A class without parentheses is not one.
+    The message names `field`. A class without parentheses is not a scheme.
     """
     if isinstance(scheme, NamedScheme):  # quicker than the protocol
         return

@@ -109,9 +109,10 @@ def stable_step(
 def find_limit(
     model: Model, scheme: Scheme, x: Any = None, u: Any = None, parameters: Any = None
 ) -> float:
-    """Compute the largest stable step at a state.
+    """Compute the largest stable step at a state [s].
 
-    In contrast to `stable_step`, it does not warn, and considers only nodes in contact.
+    x (nx,) is the state, u (nu,) the control. In contrast to `stable_step`, it does not warn, and
+    considers only nodes in contact.
     """
     return step_limit(scheme, _rates(model, x, u, parameters))
 
@@ -198,7 +199,10 @@ def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
 
 
 def _jacobian(model: Model, x: Any, w: Any) -> Array:
-    """Compute ∂ode/∂x at a state and its inputs."""
+    """Compute ∂ode/∂x at a state and its inputs.
+
+    The inputs w are the control and the parameters.
+    """
     control, p = np.split(np.asarray(w), [model.nu])
     at = EquationDerivatives.of(model).at(np.asarray(x)[None], control[None], p)
     return at.jacobian(0)[:, : model.nx]
@@ -221,7 +225,8 @@ def _directional(model: Model) -> ca.Function:
 def step_limit(scheme: Scheme, rates: Complex) -> float:
     """Compute the largest stable step for these eigenvalues [s].
 
-    Infinite if nothing limits it, NaN if an eigenvalue is not finite.
+    `rates` are the eigenvalues of the linearized model [1/s]. Infinite if nothing limits the step,
+    NaN if an eigenvalue is not finite.
     """
     if not np.all(np.isfinite(rates)):
         return float("nan")

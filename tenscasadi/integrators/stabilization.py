@@ -153,7 +153,10 @@ class BarLengthCorrection(Correction, kind="BarLengthCorrection"):
 
 
 def check_correction(correction: Any, field: str = "correction") -> None:
-    """Raise TypeError unless `correction` is a correction or None."""
+    """Raise TypeError unless `correction` is a correction or None.
+
+    The message names `field`.
+    """
     if correction is not None:
         instance(
             field,
@@ -217,6 +220,7 @@ def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function
     """Build the projections (N, x, p) of nodes N and of the velocities in x.
 
     They are common to all numbers of iterations. Bars without joints are restored in closed form.
+    `kind` is the type of CasADi's symbols, SX or MX.
     """
     x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
     mech = model.with_masses(ca.vertcat(kind(model.nu, 1), p))
@@ -234,7 +238,10 @@ def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function
 
 
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
-    """Build the Function x → result, or (x, p) → result with parameters."""
+    """Build the Function x → result, or (x, p) → result with parameters.
+
+    `name` is the name of the Function, and `what` that of its result.
+    """
     inputs = {"x": x} | ({"p": p} if p.numel() else {})
     return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
 
@@ -258,7 +265,8 @@ def build_correction(model: Model, correction: Correction) -> ca.Function | None
 def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
     """Apply the Function of `Correction.step` to a state.
 
-    The state is x (nx). The input w (nw) is the control followed by the parameters.
+    `project` is this Function, x the state (nx). The input w (nw) is the control followed by the
+    parameters.
     """
     return project(x, w[model.nu :]) if model.np else project(x)
 
@@ -266,7 +274,7 @@ def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
 def _rescale(mech: Mechanism, N: Any) -> Any:
     """Restore the lengths of bars that are not joined to others.
 
-    The vector of a bar becomes b (1 + μ G_ii).
+    N (3×n) are the nodes. The vector of a bar becomes b (1 + μ G_ii).
     """
     B = mech.bar_vectors(N)
     return stretch_bars(mech, N, B, ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1)
@@ -297,8 +305,9 @@ def _appendix_c(model: Model, weight: float) -> ca.Function:
 def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
     """Compute the unit vectors v (3×β) of the corrected bars (Eq. 133).
 
-    They belong to the largest root x of Eq. 121. With c = q l and t = ‖ḃ‖², the condition vᵀv = 1
-    reads
+    B and Bd are the bar vectors b and their derivatives ḃ (3×β), `lengths` the exact lengths l, and
+    `weight` is the factor q. The vectors belong to the largest root x of Eq. 121. With c = q l and
+    t = ‖ḃ‖², the condition vᵀv = 1 reads
 
         c² (‖b‖² (x + t)² − (bᵀḃ)² (2x + t)) = x² (x + t)².
 
@@ -320,7 +329,9 @@ def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
 def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
     """Change bar vectors and close the joints.
 
-    The centers of mass and string nodes move as little as possible, Eqs. 134-149.
+    Z (3×n) are node positions or velocities. The bar vectors change by `change` (3×β), and the
+    joints satisfy Z P = `target` (3×c). The centers of mass and string nodes move as little as
+    possible, Eqs. 134-149.
     """
     ends = sp.csr_array(abs(mech.C_b))  # β×n, twice C_r
     Z = Z + ca.mtimes(change, sparse(mech.C_b)) / 2

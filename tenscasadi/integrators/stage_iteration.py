@@ -100,7 +100,8 @@ def solve_stages(model: Model, A: Array, sweeps: int) -> ca.Function:
 def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
     """Compute the states (nx,) at all stages of a collocation step.
 
-    k (nq + na, s) are the time derivatives of velocities and internal states.
+    The step of length h [s] starts at x (nx,). A (s, s) are the coefficients of the method. k (nq +
+    na, s) are the time derivatives of velocities and internal states.
     """
     c, (q, v, own, clock) = A.sum(axis=1), model.split(x)
     Q = h**2 * ca.mtimes(k[: model.nq, :], ca.DM((A @ A).T))
@@ -114,8 +115,9 @@ def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
     """Build one sweep of the triangular iteration over all stages.
 
-    The time derivatives k (nq + na, s) of velocities and internal states are those of the last
-    sweep, and `changes` its change and the smallest one so far. Returns the new k and changes.
+    The step of length h [s] starts at x with the input u. A (s, s) are the coefficients of the
+    method. The time derivatives k (nq + na, s) of velocities and internal states are those of the
+    last sweep, and `changes` its change and the smallest one so far. Returns the new k and changes.
     """
     L = factor_crout(A)
     squared = L @ L
@@ -148,7 +150,8 @@ def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any)
 def _lead(model: Model, u: Any) -> Any:
     """Compute damping over stiffness of each switching function [s].
 
-    It is the derivative (k,) of a switching function with respect to its velocity.
+    It is the derivative (k,) of a switching function with respect to its velocity. u is the control
+    and the parameters.
     """
     w = model.extend_inputs(ca.DM(model.initial_state), u)
     scene = bind(model.scene, w)[0]
@@ -263,7 +266,8 @@ def _drag_slopes(
 
     For a node far from its final velocity, friction is linearized by the secant from rest instead
     of the derivative. Friction of a sliding node hardly changes, so Newton's method would step past
-    rest and back.
+    rest and back. `at` has the nodes and velocities. `moved` is the last change of the velocities
+    [m/s], small near convergence.
     """
     linear: list[ForceElement] = []
     held: list[tuple[Any, Any]] = []

@@ -83,7 +83,9 @@ class Sundials(NamedScheme):
     ) -> ca.Function:
         """Build one step of the equations of any length h.
 
-        The integration variable is t/h.
+        `equations` are those of `equations`, `atol` is the absolute tolerance, and `start` the
+        Function of `algebraic_start`. The integration variable is t/h. The states are those at the
+        fractions `shares` of the step.
         """
         h, u = ca.MX.sym("h"), equations["u"]
         scaled = {key: value for key, value in equations.items() if key != "u"} | {
@@ -112,7 +114,8 @@ class Sundials(NamedScheme):
     ) -> dict[str, Any]:
         """Build the equations for CasADi's integrator, a dictionary.
 
-        It has x, u and ode. With `held`, slack and contact states are fixed, see `advance_in_mode`.
+        It has x, u and ode. With a Function `power`, they include the work of forces. With `held`,
+        slack and contact states are fixed, see `advance_in_mode`.
         """
         ode = (power or build_mode_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
@@ -121,13 +124,15 @@ class Sundials(NamedScheme):
     def algebraic_start(self, model: Model) -> ca.Function | None:
         """Build the initial guess of the algebraic variables.
 
-        Function (z, u) → guess, None without such variables.
+        These are the multipliers of bars and joints in `Idas`. Function (z, u) → guess; None
+        without such variables.
         """
         return None
 
     def integrator(self, equations: dict[str, Any], grid: list[float], atol: float) -> ca.Function:
         """Build CasADi's integrator from 0 to the times `grid` [s].
 
+        `equations` are those of the method of this name, and `atol` is the absolute tolerance.
         Raises ValueError if the multipliers are undetermined.
         """
         try:
@@ -339,6 +344,9 @@ class Idas(Sundials, kind="Idas"):
 
     def algebraic_start(self, model: Model) -> ca.Function | None:
         """Build the initial guess of the multipliers.
+
+        They are the multipliers λ of the bars [N/m], and Ω of the joint constraints N P = D, which
+        include pins in full coordinates [N].
 
         Parameters
         ----------

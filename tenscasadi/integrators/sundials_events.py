@@ -37,7 +37,7 @@ _PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 class _ModeInterval(NamedTuple):
     """Trajectory in one mode over h seconds from state z.
 
-    The input u is the control and the parameters.
+    The input u is the control and the parameters. `rows` are states at equal times.
     """
 
     z: Array
@@ -136,7 +136,7 @@ class EventSteps:
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
         """Integrate `many` time steps up to the first possible event.
 
-        Returns z after each step.
+        u is the control and the parameters. Returns z after each step.
         """
         self._pause()
         if (many, step) not in self._integrators:
@@ -179,7 +179,8 @@ class EventSteps:
     def _convert_work(self, z: Array, u: Array, rows: Array) -> Array:
         """Convert the work of all forces to the energy supplied from outside.
 
-        It subtracts the decrease of the model's stored energy.
+        It subtracts the decrease of the model's stored energy from the last entry of `rows`, states
+        after z with the input u.
         """
         if self._power:
             rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(
@@ -188,7 +189,11 @@ class EventSteps:
         return rows
 
     def _cross(self, z: Array, u: Array, step: float) -> Array:
-        """Integrate a time step in which events are possible."""
+        """Integrate a time step in which events are possible.
+
+        It has the length `step` [s], the initial z, and the input u: control and parameters.
+        Returns the final z.
+        """
         rest, h, mode = step, step, self._mode(z, u)
         for _ in range(self._scheme.max_steps):
             piece = self._piece(z, u, mode, min(h, rest))
@@ -254,7 +259,7 @@ class EventSteps:
     def _jump(self, piece: _ModeInterval) -> float:
         """Compute the change of ẋ at the final mode change.
 
-        It is relative to the tolerance.
+        It is relative to the tolerance. `piece` is the interval that ends with the mode change.
         """
         moving, x = self._moving, piece.after[: self._nx]
         later = self._break_strings(piece.after, piece.u)[: self._nx]
@@ -269,11 +274,12 @@ class EventSteps:
 def _build_look(model: Model, gaps: ca.Function, ode: ca.Function, floor: float) -> ca.Function:
     """Build the detection of mode changes within an interval.
 
-    Function (x before, half-way and after, u, h, mode) → fractions (4,) of the interval at which
-    the mode differs, and whether the interpolation resolves the interval. Fractions are in order of
-    time, 0 where the mode is the same; two come from interpolation. An interval is unresolved if
-    its interpolation differs from the state half-way. `floor` [m] is the error of the states
-    themselves.
+    `gaps` are the switching functions of `build_events`, and `ode` is the Function of
+    `build_mode_ode`. Function (x before, half-way and after, u, h, mode) → fractions (4,) of the
+    interval at which the mode differs, and whether the interpolation resolves the interval.
+    Fractions are in order of time, 0 where the mode is the same; two come from interpolation. An
+    interval is unresolved if its interpolation differs from the state half-way. `floor` [m] is the
+    error of the states themselves.
     """
     before, middle, after = (ca.MX.sym(name, model.nx) for name in ("before", "middle", "after"))
     u, h, mode = ca.MX.sym("u", model.nw), ca.MX.sym("h"), ca.MX.sym("mode", gaps.size1_out(0))

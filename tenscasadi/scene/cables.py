@@ -63,7 +63,7 @@ class CableRows:
     def _constants(self, values: Any, series: bool = False) -> Any:
         """Add the values of strings in each cable.
 
-        If in `series`, as for stiffness, their inverses are added.
+        `values` (α,) belong to strings. If in `series`, as for stiffness, their inverses are added.
         """
         if is_expression(values):
             row = ca.repmat(values, 1, len(self.structure.strings) // values.shape[1])
@@ -80,20 +80,25 @@ class CableRows:
     # --- rows of inputs ---
 
     def sum(self, row: Any) -> Any:
-        """Add a row of string values over each control input."""
+        """Sum string values over each control input.
+
+        `row` is 1×α, the result 1×m.
+        """
         return self._join(row[:, self.lone], self._add(row[:, self.cabled]))
 
     def squared_lengths(self, squared: Any) -> Any:
         """Compute squared lengths (1×m) [m²] of control inputs.
 
-        `squared` (1×α) are those of the strings.
+        The length of a cable is that of its strings together. `squared` (1×α) are the squared
+        lengths of the strings.
         """
         return self._join(squared[:, self.lone], self._add(self._lengths(squared)) ** 2)
 
     def rates(self, squared: Any, rates: Any) -> Any:
-        """Compute L dL/dt (1×m) [m²/s] of control inputs of length L.
+        """Compute L dL/dt (1×m) [m²/s] for each control input.
 
-        `rates` (1×α) are sᵀṡ of the string vectors s, `squared` their squared lengths.
+        L is the length of a cable, or of a string in no cable. `squared` (1×α) are the squared
+        lengths ‖s‖² of the string vectors s, and `rates` (1×α) are sᵀṡ.
         """
         lengths = self._lengths(squared)
         speeds = rates[:, self.cabled] / lengths
@@ -102,9 +107,10 @@ class CableRows:
     # --- rows of strings ---
 
     def force_densities(self, gamma: Any, squared: Any) -> Any:
-        """Compute γ (1×α) of strings from T/L (1×m) of inputs [N/m].
+        """Compute force densities (1×α) of strings from those of inputs [N/m].
 
-        T is the tension of a control input, L its length.
+        `gamma` (1×m) is T/L of each control input, its tension over its length. `squared` (1×α) are
+        the squared lengths of the strings.
         """
         inverse = np.argsort(self.order).tolist()
         own = gamma[:, inverse]
@@ -158,7 +164,8 @@ class CableRows:
     def _lengths(self, squared: Any) -> Any:
         """Compute the lengths of the strings in cables [m], as a row.
 
-        They are regularized at zero like those of string laws.
+        `squared` (1×α) are the squared lengths of all strings. The lengths are regularized at zero
+        like those of string laws.
         """
         unit = constant_row(self.structure.rest_length)
         if unit.shape[1] > 1:

@@ -55,7 +55,7 @@ class Surface(Value, ABC, implied="Ground"):
         return self.damping == 0 and self.friction is None
 
     def check(self, structure: Any) -> None:
-        """Check the node and bar indices of the ground.
+        """Check that a structure has the ground's nodes and bars.
 
         Parameters
         ----------

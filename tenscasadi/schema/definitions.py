@@ -189,7 +189,9 @@ def definition(
 ) -> Definition:
     """Derive the file format of a class or function.
 
-    `types` replace the annotations.
+    `build` is this class or function. Its tables in files have the key `tag` with the value `kind`;
+    no such key if `tag` is "". `kind` is by default the attribute of this name, or else the name of
+    the class. `types` are the field types by name, which replace the annotations.
     """
     known, texts = dict(types), parameter_texts(build)
     hints = {} if known else get_type_hints(build, include_extras=True)

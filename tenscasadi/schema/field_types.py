@@ -269,7 +269,10 @@ class Option(FieldType):
 
 @dataclass(frozen=True)
 class Index(FieldType):
-    """Field type of a node, bar or string, by its name or index."""
+    """Field type of a node, bar or string, by its name or index.
+
+    `which` is "node", "bar" or "string".
+    """
 
     which: ItemKind
 
@@ -290,11 +293,18 @@ class Index(FieldType):
         return {"type": ["integer", "string"], "minimum": 0}
 
     def check(self, field: str, value: Any) -> Any:
-        """Check an index or a name."""
+        """Check that a value is an index, at least 0, or a name.
+
+        Messages begin with `field`.
+        """
         return index_or_name(field, value)
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace a name by its index."""
+        """Replace a name by its index.
+
+        An index is returned unchanged. `names` are those of the structure; messages begin with
+        `field`.
+        """
         return names.resolve(field, self.which, value)
 
 

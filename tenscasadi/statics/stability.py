@@ -125,8 +125,10 @@ class Stability(ReadOnlyArrays):
         """Whether the structure is super-stable.
 
         It is then stable for all levels of prestress and all stiffnesses. The force density matrix
-        is positive semidefinite, of rank n − d − 1 in d dimensions, and no affine motion keeps all
-        lengths. With supports, the affine motions are those that they allow.
+        is positive semidefinite, of rank n − d − 1 in d dimensions. No affine motion keeps the
+        lengths of all members, except translations and rotations. With supports, the affine motions
+        are those that they allow. Structures with rigid bodies are never classified as
+        super-stable.
         """
         return is_super_stable(self.structure, self.force_density_matrix)
 

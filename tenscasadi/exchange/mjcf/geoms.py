@@ -107,7 +107,11 @@ def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Ge
 
 
 def _read_rod(element: Element, outer: Pose, frame: Pose, kind: str) -> RodGeom:
-    """Read the axis of a sphere, capsule or cylinder."""
+    """Read the axis and radius of a sphere, capsule or cylinder.
+
+    `outer` is the frame of the body, which "fromto" refers to, and `frame` that of the geom. `kind`
+    is the type of the geom: "sphere", "capsule" or "cylinder".
+    """
     size = element.numbers("size", (1, 2, 3))
     if "fromto" in element.attributes:
         if kind == "sphere":

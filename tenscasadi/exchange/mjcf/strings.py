@@ -329,9 +329,10 @@ def _read_dynamics(actuator: Element) -> str:
 
 
 def _read_start(root: Element, actuators: list[Element]) -> list[float | None]:
-    """Read the initial controls from the first key that has them.
+    """Read the initial controls from the first keyframe that has them.
 
-    For integrators, they are activation states.
+    There is one number for each actuator; None where no keyframe has one. Controls of actuators
+    with activation are their activation states.
     """
     keys = [key for section in root.find("keyframe") for key in section.find("key")]
 

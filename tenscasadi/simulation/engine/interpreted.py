@@ -367,7 +367,12 @@ class Loop:
             self.step = int(self.fault.max())
 
     def _measure(self, before: Before) -> Array:
-        """Compute errors and energies of states (k, n, nz)."""
+        """Compute errors and energies of states (k, n, nz).
+
+        The results (k, n, ·) are relative errors of bars and joints, then kinetic, elastic and
+        gravity energy. The states are `before.z`, with the inputs `before.w`. Without measures
+        there are no columns.
+        """
         z, shape = before.z, before.z.shape[:2]
         if not self.measures:
             return np.zeros((*shape, 0))
@@ -441,7 +446,11 @@ class Loop:
         return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
     def _energy(self, measure: Array) -> Array:
-        """Compute the total energy (…, n) [J] that external work changes."""
+        """Compute the energy that external work changes (…, n) [J].
+
+        `measure` (…, n, ·) are the results of `_measure`. The energy is kinetic, elastic and
+        gravity energy; under a control schedule it is the kinetic energy alone.
+        """
         return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
 
     def _supplied(self, before: Before) -> Array:

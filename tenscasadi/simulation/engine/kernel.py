@@ -132,7 +132,10 @@ class Kernel:
 
     @property
     def trials(self) -> int:
-        """Largest number of trial steps in a time step."""
+        """Limit of trial steps in a time step.
+
+        A run that needs more fails. It is 0 for schemes with fixed steps.
+        """
         return self._numbers.trials
 
     def __call__(

@@ -55,7 +55,8 @@ class Grid:
     rows : ndarray, shape (K,)
         Row of the control that is constant in each interval.
     early : float
-        Time by which the last interval is shorter, below rounding error [s].
+        Reduction of the last interval [s], at most the rounding error of the clock. It is not 0 if
+        a function of time is not finite after the end of the run.
     """
 
     edges: Array

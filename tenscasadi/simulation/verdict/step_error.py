@@ -101,18 +101,19 @@ def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
 
 
 def _largest(distances: Array) -> Array:
-    """Find the largest distance (m,) over rows (m, T).
+    """Find the largest distance (m,) over the T times of (m, T).
 
-    It is NaN without common rows.
+    It is NaN for runs without a common time.
     """
     return np.asarray(np.fmax.reduce(distances, axis=1, initial=np.nan))
 
 
 def _ratio(longer: Array, shorter: Array) -> Array:
-    """Find the smallest ratio (m,) of two distances (m, T).
+    """Find the smallest ratio `longer`/`shorter` (m,) over saved times.
 
-    It is NaN if unknown. Runs with steps across events agree only by chance: the smallest ratio is
-    then small.
+    Both are distances (m, T) of m runs from their repetitions with other steps, at T times. Times
+    of small distances are ignored. It is NaN if unknown. Runs with steps across events agree only
+    by chance: the smallest ratio is then small.
     """
     used = np.isfinite(longer) & (longer >= 0.1 * _largest(longer)[:, None])
     with np.errstate(all="ignore"):

@@ -184,7 +184,10 @@ def _choose_range(simulation: LiveSimulation, own: Array) -> tuple[float, float]
 
 
 def _round(value: float, way: Any) -> float:
-    """Round to two digits, as the slider displays them."""
+    """Round a positive number to two significant digits.
+
+    A slider displays its limits so. `way` is NumPy's floor or ceil, the direction of rounding.
+    """
     digit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{way(round(value / digit, 6)) * digit:.3g}")
 
