@@ -365,7 +365,12 @@ def _read_problem(asked: Any, model: Any) -> Problem:
 
 
 def _read_cost(k: int, cost: Any, model: Model) -> Cost:
-    """Convert a CasADi Function or a callable to a cost."""
+    """Convert a CasADi Function or a callable to a cost.
+
+    The result is its integral over time. `k` is its place in the argument `problem`, for messages.
+    A Function has the arguments (x, u) or (x, u, t), a callable an `Instant`. Raises ValueError for
+    a Function with other arguments.
+    """
     name = f"problem[{k}]"
     if not isinstance(cost, ca.Function):
         return Integral(name, cost)

@@ -20,11 +20,11 @@ STIFF_STEPS = 2  # integration steps of an implicit scheme
 
 
 def replay_in_doubt(plan: PlanResult, model: Model) -> Replayed:
-    """Replay a plan in open loop, and check the steps by repetition.
+    """Replay a plan in open loop, and check its steps.
 
     The acceptance test of `simulate` compares the positions of all nodes with those of longer
-    steps. If the replay fails it, two replays follow, the second one in half the steps. Both have
-    to meet the goals.
+    steps. If the replay fails it, two replays follow, the second one with half the step size. Both
+    have to meet the goals.
     """
     first = replay_open(plan, model, None, None)
     if first.success:

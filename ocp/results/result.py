@@ -173,10 +173,13 @@ class PlanResult(PlannedForces, Stored):
 class Replayed(NamedTuple):
     """Replays by which a plan is accepted or rejected.
 
+    The plan succeeds if every replay is valid and meets the goals.
+
     Attributes
     ----------
     motions : tuple of Trajectory
-        The replay. If it fails the check of its step size, a second one has half the steps.
+        The replay. If it fails the check of its step size, a second one with half the step size
+        follows. Empty if the feedback of a tracked replay cannot be computed.
     failure : str
         Reason why the replay is not valid; "" if it is.
     """

@@ -71,7 +71,12 @@ def find_best_plan(
 def find_limited_plan(
     options: tuple[Any, ...], time_limit: float | None, tracked: bool
 ) -> PlanResult:
-    """Find a plan in another process, within a time limit."""
+    """Find a plan in another process, within a time limit.
+
+    `options` are the arguments of `find_plan` before the monitor, from problem to tolerance.
+    `time_limit` is in seconds; None is no limit. With `tracked`, the replay under the feedback of
+    `ocp.track` decides on success.
+    """
     return find_plan(*options, monitor=Monitor(time_limit), tracked=tracked)
 
 

@@ -61,7 +61,10 @@ class Stage(NamedTuple):
         ]
 
     def states(self, entries: Any) -> Any:
-        """Select the states (nx, K + 1) from all variables."""
+        """Select the states (nx, K + 1) from all variables.
+
+        `entries` are all decision variables and constants in physical units.
+        """
         if self.defects.states is None:
             return gather(entries, self.variables.states)
         return self.defects.states(entries)
@@ -72,7 +75,8 @@ def build_program(
 ) -> Program:
     """Build the nonlinear program of a problem.
 
-    Scales are those of the initial guess.
+    `target` has the initial state and the goals. `scales` make variables and constraints order one;
+    they are those of the initial guess.
     """
     own = transcription.fractions, transcription.control
     return assemble([build_stage(transcription, Variables(problem, target, scales, guess, *own))])
@@ -81,7 +85,8 @@ def build_program(
 def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> Stage:
     """Build all constraints and costs of a plan or phase.
 
-    `contact` is the argument of `Variational.defects`.
+    `contact` is the argument of `Variational.defects`. `v` are the decision variables of the plan
+    or phase.
     """
     rows = [*build_path_blocks(v), *build_waypoint_blocks(v), *build_end_blocks(v)]
     costs = build_cost_blocks(v)
@@ -92,7 +97,7 @@ def build_stage(transcription: Transcription, v: Variables, *contact: Any) -> St
 def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
     """Build the nonlinear program of all phases of a plan.
 
-    `linkage` are constraints on variables of several phases.
+    Each phase is one stage. `linkage` are constraints on variables of several phases.
     """
     variables = [stage.variables for stage in stages]
     first = variables[0]
@@ -228,7 +233,8 @@ def _build_goal_blocks(
 
     They are independent combinations of the goal rows. Dependent goal rows are inequalities. Where
     conserved quantities already satisfy them, they are inactive, so that the gradients of active
-    constraints remain independent.
+    constraints remain independent. `function` maps variables to goal rows; `index` are the places
+    of these variables. Constraints have `kind`, and names that begin with `name`.
     """
     blocks = []
     if target.count:
@@ -293,7 +299,10 @@ def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
 
 
 def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summand:
-    """Build a cost term at a fraction of the duration."""
+    """Build a cost term at a fraction of the duration.
+
+    The fraction is `share`. `expression` maps the instant there to the cost.
+    """
     k, part = locate_share(v.fractions, share)
     value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
     z, (x, y, c, T, length) = split_symbol(
@@ -307,7 +316,10 @@ def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summ
 
 
 def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a cost term of neighboring control values."""
+    """Build a cost term of neighboring control values.
+
+    `expression` maps the two values (α, 2) and the time between them [s] to the cost.
+    """
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
     pair = ca.mtimes(sparse(v.group_matrix), ca.reshape(z[: 2 * width], width, 2))
@@ -318,7 +330,11 @@ def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
 
 
 def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
-    """Build a cost integral of the controls over each interval."""
+    """Build a cost integral of the controls over each interval.
+
+    `expression` maps controls (α, n) at n Gauss points and the weight of each point [s] to the
+    integral.
+    """
     z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
     offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
     points = ca.horzcat(*(v.gamma(z[:-2], 0.5 + offset) for offset in offsets))
@@ -329,7 +345,8 @@ def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
 def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:
     """Build a running cost by Simpson's rule.
 
-    A rule with the ends of intervals only would miss vibrations within them.
+    `expression` maps an instant to the cost rate. A rule with the ends of intervals only would miss
+    vibrations within them.
     """
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])

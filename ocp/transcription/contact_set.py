@@ -45,8 +45,11 @@ class ContactSet:
 def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Array) -> ContactSet:
     """Fix contact nodes and add their reactions as variables.
 
+    `stands` are the s contact nodes. `lands` tells whether some of them land at the start of the
+    phase. `reactions` (3s,) is the initial guess of the reactions [N].
+
     Fixed coordinates are the same variables at all mesh points, so that no constraint has to fix
-    them. `reactions` (3s,) is the initial guess of the reactions [N].
+    them.
     """
     nq = v.model.nq
     held = v.model.entries[list(stands)].ravel()
@@ -78,5 +81,8 @@ def build_empty_set(v: Variables) -> ContactSet:
 
 
 def reaction_names(what: str, stands: Sequence[int]) -> list[str]:
-    """Name the components of reactions or impulses on nodes."""
+    """Name the components of reactions or impulses on nodes.
+
+    `what` is the quantity, such as "reaction"; `stands` are the nodes.
+    """
     return [f"{what} on node {node} along {axis}" for node in stands for axis in "xyz"]

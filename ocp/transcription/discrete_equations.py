@@ -67,7 +67,8 @@ class DiscreteEquations:
     def _add_forces(self, what: str, first: Array, node: int = 0) -> Indices:
         """Add the forces of constraints as variables.
 
-        They belong to the mesh points from `node` on.
+        They belong to the mesh points from `node` on. `first` are their initial values, one row for
+        each mesh point. `what` ends their names.
         """
         names, v = [f"{name} {what}" for name in self.kept], self.v
         return v.add_at_nodes(names, first, v.strength * v.scales.length, node)
@@ -158,7 +159,10 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), names, scale=v.scales.length)
 
     def _rates(self, points: slice) -> Block:
-        """Build the time derivatives of bar and joint constraints."""
+        """Build the time derivatives of bar and joint constraints.
+
+        `points` selects the mesh points.
+        """
         v, scale = self.v, self.v.scales.length / self.v.scales.time
         columns = self._when(v.states[points, : 2 * self.nq], points)
         z, (moving, *when) = self._symbols(columns)
@@ -172,7 +176,11 @@ class DiscreteEquations:
         return Block(function, np.hstack(columns), tuple(names), scale=scale)
 
     def _when(self, entries: Indices, points: slice) -> list[Indices]:
-        """Append the variable indices of the times if supports move."""
+        """Append the indices of duration and relative times.
+
+        They are needed only if supports move. `entries` are the variable indices of a block at the
+        mesh points `points`.
+        """
         v = self.v
         if v.model.scene.supports is None:
             return [entries]
@@ -196,7 +204,8 @@ class DiscreteEquations:
     def _momentum(self, velocities: Any) -> Any:
         """Compute the momenta of the free coordinates.
 
-        Moving supports are included.
+        `velocities` (3, n) are those of all nodes, moving supports included. Displacements give
+        momenta times time.
         """
         return self.model.mechanism.generalized_forces(
             ca.mtimes(velocities, sparse(self.model.mechanism.M))
@@ -205,7 +214,7 @@ class DiscreteEquations:
     def _force(self, x: Any, internal: Any, gamma: Any, pushes: Any) -> Any:
         """Compute the total forces on the free coordinates.
 
-        They depend on the state, internal states, force densities `gamma`, and the constraint
+        They depend on the state x, internal states, force densities `gamma`, and the constraint
         forces and reactions `pushes`.
         """
         N, V, clock = self.model.unpack(x)
@@ -216,7 +225,8 @@ class DiscreteEquations:
     def _push(self, x: Any, pushes: Any) -> Any:
         """Compute constraint forces and ground reactions from their variables.
 
-        They are generalized forces on the free coordinates.
+        They are generalized forces on the free coordinates. `x` is the state; `pushes` are the
+        multipliers of the constraints, followed by the reactions.
         """
         count, standing = len(self.kept), sparse(np.eye(self.nq)[:, self.contact.held])
         return self.constraints(x, pushes[:count, :])[2] + ca.mtimes(standing, pushes[count:, :])
@@ -225,7 +235,8 @@ class DiscreteEquations:
         """Select the variables of the momenta at interval ends.
 
         The momenta follow from the formula of interval starts, backwards in time. `pushes` are the
-        forces before these ends.
+        forces before these ends. `velocities` are the indices of the velocities at the ends of
+        `intervals`.
         """
         v, q = self.v, self.v.states[:, : self.nq]
         own = v.interval_controls[intervals]
@@ -285,7 +296,10 @@ class DiscreteEquations:
         return Block(ca.Function("clock", [z], [row]), np.hstack(columns), names)
 
     def all_states(self, entries: Any) -> Any:
-        """Compute the states (nx, K + 1) from all variables."""
+        """Compute the states (nx, K + 1) from all variables.
+
+        `entries` are all decision variables and constants in physical units.
+        """
         v, nq = self.v, self.nq
         q, rates = (gather(entries, v.states[:, part]) for part in (slice(nq), slice(nq, 2 * nq)))
         duration = gather(entries, v.duration[:, None])
@@ -303,8 +317,9 @@ class DiscreteEquations:
     def _inner_rates(self, entries: Any, q: Any, duration: Any) -> Any:
         """Compute the interior velocities (nq, K − 1).
 
-        They follow from the discrete momenta. With contact nodes they are central differences,
-        which are zero at these nodes.
+        `entries` are all variables, `q` (nq, K + 1) the positions. Velocities follow from the
+        discrete momenta. With contact nodes they are central differences, which are zero at these
+        nodes.
         """
         v = self.v
         spacing = ca.diag(1 / (v.fractions[1:] + v.fractions[:-1]))

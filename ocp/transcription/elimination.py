@@ -82,6 +82,11 @@ class Elimination:
 
 
 class _DefectBlock(NamedTuple):
+    """Diagonal block of the block triangular form.
+
+    Blocks of one level do not depend on each other. `rows` and `columns` are those of the matrix.
+    """
+
     level: int
     rows: Indices
     columns: Indices
@@ -147,9 +152,9 @@ def _group_alike(
 ) -> list[_Group]:
     """Group the diagonal blocks of equal sparsity.
 
-    `starts` are the first rows of the blocks and the end, `own` is the block of each row. The
-    nonzeros `entries` are at the given rows and columns. `constant` marks constant ones, and
-    `sample` are values.
+    `starts` are the first rows of the blocks and the end, `own` is the block of each row. `row` and
+    `column` are the places of all nonzeros, and `entries` the nonzeros inside the blocks.
+    `constant` marks constant ones, and `sample` are values.
     """
     order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
     alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
@@ -186,7 +191,8 @@ class _Step(NamedTuple):
 def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
     """Find the longest sequences of neighboring blocks.
 
-    Blocks of a sequence have the same level and sparsity.
+    Blocks of a sequence have the same level and sparsity. `levels` are those of the blocks,
+    `starts` their first rows and the end.
     """
     place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
     steps, k = [], 0
@@ -229,7 +235,10 @@ class _Substitution:
         ]
 
     def take(self, values: Array, inverses: list[Array]) -> None:
-        """Take the values of all entries, and the inverse blocks (count, m, m) of each step."""
+        """Take new values of the matrix.
+
+        `values` are all nonzeros; `inverses` are the inverse blocks (count, m, m) of each step.
+        """
         self.values, self.inverses = -values[self.entries], inverses
 
     def substitute(self, b: Array) -> Array:

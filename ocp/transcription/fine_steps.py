@@ -59,7 +59,11 @@ class FineSteps:
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
-        """Unpack states, arguments of the fine steps, and the duration."""
+        """Unpack states, arguments of the fine steps, and the duration.
+
+        `w` are the scaled decision variables. The arguments are controls at the starts and ends of
+        the intervals (α, K), and interval lengths (1, K) [s].
+        """
         states, gamma, T = (one.full() for one in self.program.unpack(w))
         held = (gamma[:, :-1], gamma[:, 1:]) if self.linear else (gamma, gamma)
         duration = float(T.squeeze())
@@ -68,15 +72,16 @@ class FineSteps:
     def ends(self, leaving: Array, held: tuple[Array, ...]) -> Array:
         """Integrate each interval from a given state to its end.
 
-        `leaving` are the states (K, nx) at the starts of the intervals.
+        `leaving` are the states (K, nx) at the starts of the intervals. `held` are the arguments
+        that `planned` returns.
         """
         return np.asarray(self._each(leaving.T, *held).full()).T
 
     def whole(self, w: Array) -> tuple[Array, float]:
         """Integrate the whole plan in fine steps.
 
-        Returns its states (K + 1, nx), and the largest distance of the planned states from them
-        [m]. Velocities count as velocity × duration.
+        `w` are the scaled decision variables. Returns its states (K + 1, nx), and the largest
+        distance of the planned states from them [m]. Velocities count as velocity × duration.
         """
         states, held, duration = self.planned(w)
         later = self._chain(states[0], *held).full()
@@ -88,7 +93,7 @@ class FineSteps:
 def _build_step(model: Model) -> ca.Function:
     """Build the fine step (x, u, v, h) → x_next.
 
-    The control changes linearly from u to v.
+    The control changes linearly from u to v within the step h [s].
     """
     x, u, v, h = (
         ca.MX.sym(name, size)
@@ -104,7 +109,11 @@ def _build_step(model: Model) -> ca.Function:
 
 
 def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
-    """Prepare the discretization residual of one-step methods."""
+    """Prepare the discretization residual of one-step methods.
+
+    It is the change of the defects if fine steps replace the states at the interval ends.
+    `fractions` (K,) are the interval lengths relative to the duration.
+    """
     fine, unknowns = FineSteps(program, model, fractions), program.parts.unknowns
     size = unknowns.count + len(unknowns.constants)
     node = np.full(size, -1)
@@ -137,7 +146,8 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
 
     Fine steps connect successive mesh points by a suitable initial velocity in each interval. The
     residual is the jump between the final velocity of an interval and the initial velocity of the
-    next one, as a change of momentum.
+    next one, as a change of momentum. `fractions` (K,) are the interval lengths relative to the
+    duration.
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
     project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
@@ -147,6 +157,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     def leave(leaving: Array, places: Array, held: tuple[Array, ...], lengths: Array) -> Array:
         """Find initial velocities whose trajectories end at the mesh points.
 
+        `held` are the arguments of `FineSteps.ends`, `lengths` (K,) the interval lengths [s].
         `leaving` are the initial states, changed in place, and `places` the positions at the ends
         of the intervals. Errors of a tenth of the largest velocity jump remain, as each correction
         leaves about as much. Returns the final velocities.
@@ -189,7 +200,10 @@ def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:
-    """Find the constraint rows of a named Function."""
+    """Find the constraint rows of a named Function.
+
+    Returns one slice of rows for each block with this Function.
+    """
     parts = program.parts
     return [
         rows

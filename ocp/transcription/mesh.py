@@ -34,7 +34,11 @@ Intervals = int | Sequence[float]
 
 
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
-    """Check a number of intervals, or normalize their lengths."""
+    """Check a number of intervals, or normalize their lengths.
+
+    Lengths, relative to each other, are divided by their sum. `field` names the argument in
+    messages. Raises TypeError or ValueError.
+    """
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
         return whole_number(field, value, 1, MAX_COUNT)
     shares = finite_array(field, value, (None,))
@@ -166,7 +170,8 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 def spans(profile: Profile, fractions: Array) -> Indices:
     """Find the move block to which each interval (K,) belongs.
 
-    Controls are constant within a block.
+    Controls are constant within a block. `fractions` are the interval lengths relative to the
+    duration. The result is the block's number (K,).
     """
     if profile.max_changes is None or profile.max_changes + 1 >= len(fractions):
         return np.arange(len(fractions))
@@ -176,7 +181,11 @@ def spans(profile: Profile, fractions: Array) -> Indices:
 
 
 def node_values(held: Array, lengths: Array) -> Array:
-    """Interpolate interval values at the mesh points."""
+    """Interpolate interval values at the mesh points.
+
+    `held` are control values (K, α) of the intervals, `lengths` (K,) the interval lengths in any
+    unit. The result is (K + 1, α).
+    """
     if len(held) == 1:
         return np.repeat(held, 2, axis=0)
     left, right = lengths[:-1, None], lengths[1:, None]
@@ -185,12 +194,20 @@ def node_values(held: Array, lengths: Array) -> Array:
 
 
 def held_values(values: Array, intervals: int) -> Array:
-    """Compute the mean control values on each interval."""
+    """Compute the mean control values on each interval.
+
+    `values` are those of the intervals (K, α), returned unchanged, or of the mesh points (K + 1,
+    α).
+    """
     return values if len(values) == intervals else (values[:-1] + values[1:]) / 2
 
 
 def profile_at(values: Array, nodes: Array, time: Array) -> Array:
-    """Evaluate a control profile at given times."""
+    """Evaluate a control profile at given times.
+
+    `values` belong to the intervals (K, α) or to the mesh points (K + 1, α). `nodes` are the times
+    (K + 1,) of the mesh points, in the unit of `time`.
+    """
     last = len(nodes) - 2
     k = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last)
     if len(values) == last + 1:
@@ -202,7 +219,8 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
     """Find the interval that contains a fraction of the duration.
 
-    Returns its index, and the fraction of the interval.
+    The intervals have the lengths `fractions` (K,) relative to the duration. Returns the index of
+    the interval, and the position in it as a fraction of its length.
     """
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
@@ -211,9 +229,10 @@ def locate_share(fractions: Array, share: float) -> tuple[int, float]:
 
 
 def hermite_state(model: Model, x: Any, y: Any, h: Any, share: float) -> Any:
-    """Evaluate the cubic Hermite interpolant of two states, arrays or expressions.
+    """Evaluate the cubic Hermite interpolant of two states.
 
-    `h` is the length of the interval [s], `share` the fraction of it.
+    `x` and `y` (nx,) are the states at the start and the end of an interval of length `h` [s], as
+    arrays or expressions. `share` is the fraction of the interval, from 0 to 1.
     """
     if share == 1.0:
         return y
@@ -258,7 +277,9 @@ class Guess(ReadOnlyArrays):
 def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
     """Convert a guess to another mesh and control profile.
 
-    The given guess has equal intervals.
+    The given guess has equal intervals. The new mesh has the interval lengths `fractions` (K,)
+    relative to the duration. Interpolated states are projected onto the constraints of bars and
+    joints.
     """
     intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
     if intervals == len(fractions) and np.ptp(fractions) < 1e-12:
@@ -272,7 +293,10 @@ def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> G
 
 
 def project_states(model: Model, states: Array, iterations: int) -> Array:
-    """Project states (P, nx) onto the constraints of bars and joints."""
+    """Project states (P, nx) onto the constraints of bars and joints.
+
+    `iterations` is the number of Newton steps.
+    """
     if not model.mechanism.constrained:
         return states
     return np.asarray(build_projection(model, iterations).map(len(states))(states.T).full()).T

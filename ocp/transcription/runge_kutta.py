@@ -125,7 +125,8 @@ class _Steps:
     def _add_stages(self, names: Sequence[str], first: Array, scale: Any) -> Indices:
         """Add decision variables for all stages.
 
-        Their initial guesses are values (K, n) of the intervals.
+        Their initial guesses are the values `first` (K, n) of the intervals, their names the n
+        `names`.
         """
         stages = range(len(self.b))
         at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
@@ -139,7 +140,8 @@ class _Steps:
     def _add_moves(self, what: str, scale: float) -> Indices:
         """Add the multipliers (K, c) of the constraint projection.
 
-        They project the states at the ends of intervals onto the bar and joint constraints.
+        They project the states at the ends of intervals onto the bar and joint constraints. `what`
+        ends their names.
         """
         count = self.v.count
         return self.v.entries.unknowns(

@@ -32,12 +32,16 @@ class Unknowns:
 
     Attributes
     ----------
+    names : tuple of str
+        Names of the n decision variables.
     first, lower, upper : ndarray, shape (n,)
         Initial values and bounds, in physical units.
     scale : ndarray, shape (n,)
         Factors from scaled variables w to physical values.
     interval : ndarray, shape (n,)
         Mesh interval of the variable; infinite if it belongs to all.
+    constants : ndarray
+        Constants, in physical units.
     """
 
     names: tuple[str, ...]
@@ -54,7 +58,7 @@ class Unknowns:
         return len(self.names)
 
     def entries(self, w: Any) -> Any:
-        """Compute y from the scaled decision variables w."""
+        """Compute y, which is `scale` · w followed by the constants."""
         return ca.vertcat(ca.DM(self.scale) * w, ca.DM(self.constants))
 
 
@@ -319,7 +323,7 @@ class Program:
     def shift_rows(
         self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None
     ) -> Program:
-        """Shift the bounds of the constraints, and set a warm start."""
+        """Add `shift` to all constraint bounds, and warm-start at w."""
         lower, upper = self.lower + shift, self.upper + shift
         return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
@@ -344,7 +348,7 @@ def expand(function: ca.Function) -> ca.Function:
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
-    """Create a CasADi symbol and split it into parts of given sizes."""
+    """Create a symbol of SX or MX (`kind`), and split it."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
@@ -370,7 +374,7 @@ class _SparseMatrix:
         first_row: int = 0,
         transposed: bool = False,
     ) -> None:
-        """Add the Jacobian of all instances of a block at z, times a factor."""
+        """Add a block's Jacobian at z times `factor`, from `first_row` on."""
         values, local_row, local_column, varying = self._derivative(block, z)
         if not len(local_row):
             return
@@ -388,7 +392,7 @@ class _SparseMatrix:
             self._varying.append(varying[kept % len(varying)])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
-        """Add the upper triangle of a block's Hessian."""
+        """Add the upper triangle of a block's Hessian at z."""
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
         second, local_row, local_column = self._second(block)
@@ -411,7 +415,7 @@ class _SparseMatrix:
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
     def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, Booleans]:
-        """Build the nonzeros of a block's Jacobian with their indices."""
+        """Build a block's Jacobian at z: nonzeros, rows, columns, varying ones."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -467,7 +471,7 @@ class _SparseMatrix:
         self._columns.append(places[1])
 
     def constant_entries(self, rows: int) -> Booleans:
-        """Find which nonzeros of the matrix are constant."""
+        """Find which nonzeros of the matrix with `rows` rows are constant."""
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)
@@ -478,7 +482,7 @@ class _SparseMatrix:
         return constant
 
     def assemble(self, rows: int, columns: int) -> Any:
-        """Assemble the sum as a sparse CasADi matrix."""
+        """Assemble the sum as a sparse CasADi matrix (rows, columns)."""
         if not self._values:
             return ca.MX(rows, columns)
         row, column, factors, position = (

@@ -64,7 +64,9 @@ class Entries:
     ) -> Indices:
         """Append decision variables to y and return their indices.
 
-        The other arguments are broadcast to the initial values `first`.
+        The indices have the shape of the initial values `first`, to which the other arguments are
+        broadcast. `scale` is a typical size, `lower` and `upper` are bounds. `interval` is the mesh
+        interval, counted from the start of the phase.
         """
         named = [name + self.suffix for name in names]
         counted = np.add(self._first_interval, interval)
@@ -84,7 +86,10 @@ class Entries:
         return np.arange(start, start + new.size).reshape(new.shape)
 
     def leave_out(self, index: Indices) -> None:
-        """Remove variables on which nothing depends."""
+        """Remove variables on which nothing depends.
+
+        `index` are their indices in y.
+        """
         self._table["unknown"][index], self._table["first"][index] = False, np.nan
 
     def find_used(self, blocks: Sequence[Block]) -> Array:
@@ -247,7 +252,8 @@ class Variables:
     def gamma(self, local: Any, share: float) -> Any:
         """Evaluate the controls (α,) at a fraction of an interval.
 
-        `local` are the variables with the indices `interval_controls`.
+        `local` are the variables with the indices `interval_controls`. `share` is the fraction,
+        from 0 to 1.
         """
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
@@ -256,7 +262,11 @@ class Variables:
     def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0
     ) -> Indices:
-        """Add decision variables at the mesh points from `node` on."""
+        """Add decision variables at the mesh points from `node` on.
+
+        `first` are their initial values, one row for each mesh point. `scale` is their typical
+        size. Returns their indices in y.
+        """
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
             every, first, scale, interval=node + np.arange(len(first))[:, None]
@@ -272,8 +282,9 @@ def name_controls(
 ) -> list[str]:
     """Name the control variables, interval by interval.
 
-    `begins` are the intervals in which their values begin. `labels` name the cables, and the
-    strings that belong to no cable.
+    `what` is the quantity, such as "force density". `group_matrix` is the 0/1 matrix (strings,
+    groups). `begins` are the intervals in which their values begin. `labels` name the cables, and
+    the strings that belong to no cable.
     """
     own = []
     for column in group_matrix.T:
@@ -303,10 +314,16 @@ def name_states(model: Model) -> tuple[str, ...]:
 
 
 def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
-    """Name the defect constraints of all intervals."""
+    """Name the defect constraints of all intervals.
+
+    `rows` name those of one interval.
+    """
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 
 def _estimate_strength(scales: Scales, force_density: Array) -> float:
-    """Estimate a typical force density [N/m]."""
+    """Estimate a typical force density [N/m].
+
+    It is the root mean square of the guess `force_density`, at least the scale of mass / time².
+    """
     return max(float(np.sqrt(np.mean(force_density**2))), scales.mass / scales.time**2)
