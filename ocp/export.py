@@ -199,7 +199,8 @@ def _write_code(
 ) -> list[Path]:
     """Write CasADi Functions as C code, `name`.c and `name`.h.
 
-    A comment in the header describes them.
+    The lines of `comment` in the header describe them; `constants` are its definitions. Returns
+    both paths.
     """
     generator = ca.CodeGenerator(f"{name}.c", {"with_header": True})
     for function in functions:

@@ -49,7 +49,10 @@ class Controller(Protocol):
         """Model of the controller."""
 
     def control(self, time: float, state: Array) -> Array:
-        """Compute the control (nu,) for the next sampling period."""
+        """Compute the control (nu,) for the next sampling period.
+
+        It begins at `time` [s] in the state `state` (nx,).
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,7 +220,10 @@ def _check_controller(controller: Any) -> float:
 
 
 def _find_decision_times(t_end: float, period: float) -> Array:
-    """Compute the start times of the sampling periods, and the end [s]."""
+    """Compute the start times of the sampling periods, and the end [s].
+
+    The closed loop lasts `t_end` s; `period` is the sampling period [s].
+    """
     ratio = positive_number("t_end", t_end) / period
     if ratio > MAX_ENTRIES:
         raise ValueError(
@@ -238,7 +244,8 @@ def _record(
 ) -> Trajectory:
     """Build the trajectory of the simulated sampling periods.
 
-    Each of them has `n` time steps.
+    `plant` is the simulated model, `scene` that of the user. States and controls have an entry for
+    each period. Each period has `n` time steps; `ends` are the limits of the periods [s].
     """
     rows = np.concatenate(states)
     done = len(controls) == len(ends) - 1
@@ -277,7 +284,9 @@ def _run_periods(
     """Simulate the sampling periods one after the other.
 
     For each, yields the states (steps, nx), or None after a divergence; the control (nu,); and the
-    wall time of the controller [s].
+    wall time of the controller [s]. `plant` is the simulated model, `x` its initial state. `ends`
+    are the limits of the periods [s], each of which has `steps` time steps. `disturbance` changes
+    the state at the start of each period.
     """
     chain = split_at_breaks(RungeKutta4().step(plant.ode), plant).mapaccum(steps)
     project = build_projection(plant, 2)
@@ -307,7 +316,10 @@ def _run_periods(
 
 
 def _check_plant(plant: Any, believed: Model) -> None:
-    """Raise ValueError if simulated and controller model do not match."""
+    """Raise ValueError if simulated and controller model do not match.
+
+    `plant` is the simulated model, `believed` that of the controller.
+    """
     instance("model", plant, Model, "a tenscasadi.Model or None")
     own_control, known = plant.scene.control, believed.scene.control
     if own_control is None or type(own_control) is not type(known):
@@ -328,7 +340,10 @@ def _check_plant(plant: Any, believed: Model) -> None:
 
 
 def _find_start(plant: Model, state: Any) -> Array:
-    """Check the initial state and project it onto the constraints."""
+    """Check the initial state and project it onto the constraints.
+
+    None is the initial state of the simulated model `plant`.
+    """
     x = plant.initial_state if state is None else finite_array("state", state, (plant.nx,))
     # rounded lengths and speeds are projected
     if off := off_constraints(plant, x, 1e-3):
@@ -339,7 +354,8 @@ def _find_start(plant: Model, state: Any) -> Array:
 def _observe(believed: Model, plant: Model, x: Array, now: float) -> Array:
     """Convert the plant's state to that of the controller's model.
 
-    The controller's model may lack states of the plant, such as the clock.
+    The controller's model may lack states of the plant, such as the clock. `plant` is the simulated
+    model with the state `x`, and `believed` the controller's model. `now` is the time [s].
     """
     known, own = believed.moving.stop, plant.moving.stop
     passed = x[own:] if plant.nx > own else np.array([now])

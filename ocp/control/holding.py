@@ -44,8 +44,9 @@ class HeldState(NamedTuple):
 def find_equilibrium(model: Model, state: Array, lower: Array, upper: Array) -> HeldState:
     """Find the smallest string forces that keep a state at rest.
 
-    The control of the model is force densities or tensions. Loads are those at the time of the
-    state. If no forces within the limits balance the loads, they minimize the accelerations.
+    `lower` and `upper` (nu,) are limits of these forces. The control of the model is force
+    densities or tensions. Loads are those at the time of the state. If no forces within the limits
+    balance the loads, they minimize the accelerations.
     """
     count = model.nu
     still = EquationDerivatives.of(model).at(at_rest(model, state)[None], np.zeros((1, count)))
@@ -208,7 +209,7 @@ def compute_stationary_cost(a: Array, b: Array, Q: Array, R: Array) -> Array:
     The system is δ⁺ = a δ + b u, with the cost δᵀQδ + uᵀRu at each time step. The horizon is
     doubled repeatedly (Chu, Fan, Lin, Int. J. Control 2004, 77, 767), so that modes need not be
     observable or controllable. Doubling ends before the cost of unstable modes exceeds the
-    precision of the others.
+    precision of the others. Q and R are symmetric matrices.
     """
     A, G, H = a, b @ scipy.linalg.solve(R, b.T, assume_a="pos"), Q
     eye = np.eye(len(a))

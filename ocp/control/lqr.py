@@ -298,7 +298,8 @@ def _read_limits(
 ) -> tuple[Array, Array]:
     """Read the limits (nu,) of the control.
 
-    Raises TypeError, ValueError.
+    Raises TypeError, ValueError. `lower` and `upper` are those of the user; None for the limits of
+    the problem.
     """
     kind, structure = control_limits(model), model.scene.structure
     signed = not (isinstance(kind, type) and issubclass(kind, StringLimits))
@@ -351,7 +352,10 @@ def replay_tracked(plan: PlanResult) -> Trajectory:
 
 
 def _planned(plan: PlanResult, model: Model, time: Array) -> Array:
-    """Compute the planned states at given times."""
+    """Compute the planned states at given times [s].
+
+    Raises ValueError for states that are not finite.
+    """
     states = trace_motion(model, plan.time, plan.trajectory.states, plan.control, time)
     if not np.all(np.abs(states) <= LARGEST):
         raise ValueError(
@@ -448,7 +452,8 @@ def _linearize(
 ) -> tuple[Array, Array]:
     """Linearize the dynamics over a sampling period at states (K, nx).
 
-    RK4 steps compute the states within the period, and `transitions` the Jacobians.
+    Returns the Jacobians with respect to states and controls. `count` RK4 steps compute the states
+    within the period [s], and `transitions` the Jacobians.
     """
     step, h = RungeKutta4().step(model.ode).mapaccum(count).map(len(states)), period / count
     held = np.repeat(controls, count, axis=0)

@@ -341,7 +341,11 @@ class Mpc:
         )
 
     def _horizon(self, state: Any, gamma: Any, earlier: Any, last: Any) -> Horizon:
-        """Predict states and sensitivities under the controls γ (nu, intervals)."""
+        """Predict states and sensitivities under the controls γ.
+
+        `gamma` is (nu, intervals), `state` the current state (nx,). `earlier` and `last` are state
+        and control of the previous sampling period.
+        """
         nu, slopes = self.model.nu, build_slopes(self._predicted)
         none = ca.DM(0, self.model.nx)
         x, states, effects = state, [earlier, state], [none, none]
@@ -389,7 +393,8 @@ def _build_reference(
     The Function of the time returns the scaled output (·, count) at the ends of the next intervals,
     and the control (nu, count) in them. With a plan, it is the plan, then its final equilibrium if
     it ends at rest. Without a plan, it is an equilibrium that meets the goals. Raises ValueError,
-    InfeasibleGoalError.
+    InfeasibleGoalError. `output` is the scaled output and `count` the number of intervals of length
+    `period` [s]. `place` is the scale of positions [m].
     """
     time = ca.MX.sym("time")
     if plan is None:
@@ -425,7 +430,10 @@ def _build_reference(
 
 
 def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
-    """Find an equilibrium at the goals: state, control, force densities."""
+    """Find an equilibrium at the goals: state, control, force densities.
+
+    Raises ValueError for goals at other instants than the end.
+    """
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -450,7 +458,10 @@ def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
 
 
 def _interpolate(values: Array, nodes: Array, time: Any) -> Any:
-    """Interpolate controls or states of a plan at a symbolic time."""
+    """Interpolate controls or states of a plan at a symbolic time.
+
+    `nodes` (K + 1,) are the mesh times [s]. With K `values`, they are constant in the intervals.
+    """
     k = ca.low(ca.DM(nodes), time)
     left = ca.MX(ca.DM(values.T))[:, k]
     if len(values) < len(nodes):

@@ -75,7 +75,8 @@ class HorizonLimits:
     def rows(self, horizon: Horizon, time: Any, begun: Any) -> tuple[Any, Any]:
         """Build aᵀ (K nu, m) and b (m,) of the constraints a ΔU ≤ b.
 
-        `begun` is whether there was a previous sampling period.
+        `begun` is whether there was a previous sampling period. `time` is the start of the horizon
+        [s], as an expression. ΔU is the change of the K nu controls.
         """
         count = horizon.control_effects[-1].shape[0]
         a, b = [ca.DM(count, 0)], [ca.DM(0, 1)]
@@ -96,7 +97,11 @@ class HorizonLimits:
 
 
 def _combine(count: int, slopes: Any, effects: Any) -> Any:
-    """Compute Σ effect Jᵀ (count, m) for effects of the first controls or of all."""
+    """Compute Σ effect Jᵀ (count, m).
+
+    `slopes` are the Jacobians J of a constraint. `effects` are the sensitivities of their arguments
+    to the first controls or to all `count`.
+    """
     parts = [effect @ J.T for J, effect in zip(slopes, effects, strict=True)]
     return sum(ca.vertcat(part, ca.DM(count - part.shape[0], part.shape[1])) for part in parts)
 

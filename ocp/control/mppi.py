@@ -275,9 +275,10 @@ class Mppi:
         )
 
     def _evaluate(self, time: float, state: Array, tried: Array) -> Array:
-        """Simulate control sequences (samples, K, nu) and compute their costs.
+        """Simulate control sequences and compute their costs (samples,).
 
-        Costs are inf or NaN after divergence.
+        `tried` (samples, K, nu) are the sequences, applied from `state` (nx,) at `time` [s]. Costs
+        are inf or NaN after divergence.
         """
         count, K, nu = tried.shape
         inputs = np.empty((count, K, nu + 1))
@@ -298,6 +299,7 @@ class Mppi:
         """Return state and control before and after each control change.
 
         They are x, u, x⁺, u⁺ of successive intervals of all samples, as arrays (samples · K, ·).
+        `states` are those at the ends of all intervals, `tried` the controls (samples, K, nu).
         """
         now = _Decision(0.0, states[0, 0], tried[0, 0]) if self._last is None else self._last
         free = (
@@ -338,7 +340,10 @@ def softmin(costs: Array, temperature: float) -> Array:
 
 
 def _read_problem(asked: Any, model: Any) -> Problem:
-    """Read a problem, or costs with a model."""
+    """Read a problem, or costs with a model.
+
+    `asked` is the argument of the user. Raises TypeError, ValueError.
+    """
     if isinstance(asked, Problem):
         if model is not None and model is not asked.model:
             raise ValueError("model is given, and the problem has one: leave model= out")

@@ -23,7 +23,8 @@ def build_slopes(model: Model) -> ca.Function:
 def linearize_step(slopes: ca.Function, x: Any, u: Any, h: float) -> tuple[Any, list[Any]]:
     """Compute a step of `RungeKutta4` with the Jacobians of its stages.
 
-    Stage i has the Jacobians of hᵢ ẋ with h₁ = h₂ = h/2, h₃ = h and h₄ = h/6.
+    `slopes` is the Function of `build_slopes`; `h` is the step [s] from the state x under the
+    control u. Stage i has the Jacobians of hᵢ ẋ with h₁ = h₂ = h/2, h₃ = h and h₄ = h/6.
     """
     stages: list[Any] = []
     state, total = x, x

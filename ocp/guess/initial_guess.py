@@ -40,7 +40,10 @@ class InitialGuess(Protocol):
     """Protocol of initial guesses."""
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on intervals of equal duration."""
+        """Compute the guess on intervals of equal duration.
+
+        `target` has the initial and the final state; `intervals` is their number.
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,9 +287,10 @@ def resample_guess(
 ) -> Guess:
     """Resample states and controls on equal intervals.
 
-    Both are given at fractions of the duration (`…_shares`). The states are projected onto the
-    constraints; unless the start is free, the first one is the initial state. Controls and duration
-    are clipped to their limits. Raises ValueError if a projection fails.
+    States (n, nx) and controls `gamma` are given at fractions of the duration (`…_shares`).
+    Controls are linear between these, or constant if there is one less. The states are projected
+    onto the constraints; unless the start is free, the first one is the initial state. Controls and
+    duration are clipped to their limits. Raises ValueError if a projection fails.
     """
     shares = np.linspace(0.0, 1.0, intervals + 1)
     moved = project_states(

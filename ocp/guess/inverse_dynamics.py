@@ -92,7 +92,7 @@ def _wind(
 
     Tensions [N] and rest lengths [m] are those in the middle of intervals. The initial internal
     states are those of the initial state. Also returns the states (K + 1, nx) with the resulting
-    internal states.
+    internal states. `interval` is the length of an interval [s].
     """
     states, control = states.copy(), problem.model.scene.control
     own = problem.model.split(states).internal

@@ -41,8 +41,8 @@ def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
 def follow(problem: Problem, target: Target, positions: Array) -> Guess:
     """Build the guess along given coordinates.
 
-    The free coordinates (K + 1, nq) are at equal time intervals. They are projected onto the
-    constraints of bars and joints. The controls follow by inverse dynamics.
+    `positions` (K + 1, nq) are the free coordinates at equal time intervals. They are projected
+    onto the constraints of bars and joints. The controls follow by inverse dynamics.
     """
     return _follow(problem, target, positions)[0]
 
@@ -68,8 +68,9 @@ def _follow(
 ) -> tuple[Guess, float]:
     """Build the guess along a path, and its acceleration error.
 
-    The error is the mean squared error of the accelerations. It is inf if a bar turns by 90° or
-    more within an interval; the guess then stays at the start.
+    `positions` (K + 1, nq) are the free coordinates along the path. `balanced` are controls in
+    equilibrium at both ends. The error is the mean squared error of the accelerations. It is inf if
+    a bar turns by 90° or more within an interval; the guess then stays at the start.
     """
     duration = problem.typical_duration
     states = _add_velocities(problem, target, positions, duration)
@@ -207,7 +208,8 @@ def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
 def _spin(arms: Array, velocities: Array) -> Array:
     """Compute the mean angular velocity of nodes.
 
-    ``arms`` (n, 3) [m] point from the center of rotation to the nodes.
+    `arms` (n, 3) [m] point from the center of rotation to the nodes, which have the given
+    velocities (n, 3). The unit of time is theirs.
     """
     inertia = (arms**2).sum() * np.eye(3) - arms.T @ arms
     return np.asarray(np.linalg.pinv(inertia) @ np.cross(arms, velocities).sum(axis=0))
@@ -262,9 +264,10 @@ def _turn_bars(
 def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
     """Build states that satisfy the constraints from free coordinates.
 
-    Coordinates (K + 1, nq) are at equal time intervals; velocities are their central differences.
-    The first of the states (K + 1, nx) is the initial one and the last, if it is known, the final
-    one. Returns None if they are not finite or if a bar turns by 90° or more within an interval.
+    Coordinates `q` (K + 1, nq) are at equal time intervals in `duration` s; velocities are their
+    central differences. The first of the states (K + 1, nx) is the initial one and the last, if it
+    is known, the final one. Returns None if they are not finite or if a bar turns by 90° or more
+    within an interval.
     """
     model, intervals = problem.model, len(q) - 1
     start = target.start

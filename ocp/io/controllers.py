@@ -18,7 +18,10 @@ from tenscasadi.util.validate import Boolean
 
 
 class ControllerOptions(Value, implied="Mpc"):
-    """Base class of controllers in scene files."""
+    """Base class of controllers in scene files.
+
+    `build` creates the controller from its options.
+    """
 
     @property
     def needs_plan(self) -> bool:

@@ -172,7 +172,8 @@ def _read_start(start: Any, simulation: Simulation) -> Any:
 def _check_each(table: Mapping[str, Item], part: PlanPart, structure: Structure) -> None:
     """Check goals, bounds and costs against the structure.
 
-    Errors name the line of the entry, unlike those of `Problem`. Raises SceneFileError.
+    Errors name the line of the entry, unlike those of `Problem`. Raises SceneFileError. `table` is
+    the parsed table [plan], `part` its content.
     """
     for name in ("goals", "bounds", "costs"):
         for entry, value in zip(
@@ -185,6 +186,7 @@ def read_solution(scene: Scene, item: Item, left_out: Mapping[str, str]) -> dict
     """Read model, problem, transcription and solver from [plan].
 
     Those that cannot be read are None, and `not_restored` gives the reason. Raises SceneFileError.
+    `item` is the table [plan], and `left_out` are the reasons why parts are not in the file.
     """
     item = item._replace(names=scene.structure.names)
     found: dict[str, Any] = dict.fromkeys(("problem", *METHOD))

@@ -55,8 +55,8 @@ def height_blocks(
 ) -> list[Block]:
     """Build the ground clearance constraints of nodes without contact.
 
-    They remain above all grounds that act on them. Nodes that land at the end of the phase are on
-    the ground there.
+    They remain above all grounds that act on them. The nodes `landing`, which land at the end of
+    the phase, are on the ground there.
     """
     size, coordinates = v.scales.length, v.model.entries
     blocks = []

@@ -46,7 +46,8 @@ def correct(
     hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
     increased by `harder`, relative to a typical reaction. Rounds end at a fraction of the tolerance
     [m], where velocities count as velocity × duration. Only bounds of constraints change, so the
-    solver is built once. Returns the solution with the smallest error.
+    solver is built once. Returns the solution with the smallest error. `read` converts decision
+    variables to the arguments of `replay`.
     """
     again, best = None, solution
     least, residuals = _measure_replay(replay, *read(solution.w), targets)

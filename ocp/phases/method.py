@@ -185,6 +185,7 @@ def link_problem(
     """Build the nonlinear program of a problem with phases.
 
     Linkage constraints connect the phases. Raises TypeError, ValueError or InfeasibleGoalError.
+    Without a guess, `guess_phases` builds one.
     """
     _check_options(transcription, guess)
     scene, count = problem.model.scene, transcription.count

@@ -39,7 +39,7 @@ def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> 
     """Find a final state of each phase that meets its goals.
 
     The search starts at the final state of the preceding phase. Raises `InfeasibleGoalError`, which
-    names the phase.
+    names the phase. `parts` are the problems of the phases.
     """
     targets, near, since_start = [], problem.initial_state, set(problem.phases[0].contact_nodes)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
@@ -80,9 +80,10 @@ def _without_standing(
 ) -> Target:
     """Remove goal rows that contact nodes and bars satisfy anyway.
 
-    Contact nodes fix their velocities. Nodes in contact since the start of the plan also fix their
-    positions; other contact nodes land at positions that the goals determine. The remaining rows
-    are combinations of the target's rows.
+    `part` is the problem of the phase, `stands` are its contact nodes, and `since_start` those in
+    contact since the start. Contact nodes fix their velocities. Nodes in contact since the start of
+    the plan also fix their positions; other contact nodes land at positions that the goals
+    determine. The remaining rows are combinations of the target's rows.
     """
     if not target.count or not stands or target.state is None:
         return target

@@ -107,7 +107,8 @@ def _build_replay(
 ) -> tuple[Model, Feedback | ControlProfile, float]:
     """Build model, control and longest time step [s] of replays.
 
-    The model has the varied quantities as parameters.
+    The model has the varied quantities `names` as parameters. `track` builds a `Tracker` of the
+    plan; None replays it in open loop.
     """
     planned = plan.require_model("robustness")
     elastic = _needs_rest_lengths(planned, names)
@@ -134,7 +135,8 @@ def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
 def _needs_rest_lengths(planned: Model, names: Sequence[str]) -> bool:
     """Return whether replays need rest lengths as control.
 
-    This is so if string parameters vary, as prescribed force densities do not depend on them.
+    This is so if string parameters are among the varied `names`, as prescribed force densities do
+    not depend on them. `planned` is the model of the plan.
     """
     if not any(name in STRINGS for name in names):
         return False
@@ -149,7 +151,8 @@ def _needs_rest_lengths(planned: Model, names: Sequence[str]) -> bool:
 def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProfile, float]:
     """Build a replay's control and its longest time step [s].
 
-    The control is the planned control over time, or the feedback of `track`.
+    The control is the planned control over time, or the feedback of `track`. `tracker` is None in
+    open loop.
     """
     longest = float(np.diff(plan.time).min()) / STEPS
     if tracker is not None:
@@ -193,7 +196,7 @@ def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
 def _open_loop(time: Array, controls: Array, size: int) -> Feedback:
     """Convert piecewise-constant controls to a feedback with zero gains.
 
-    Controls (K, α) apply between successive times (K + 1,).
+    Controls (K, α) apply between successive times (K + 1,). `size` is the number of states.
     """
     count, strings = controls.shape
     return Feedback(time, controls, np.zeros((count + 1, size)), np.zeros((count, strings, size)))

@@ -79,7 +79,7 @@ def read_parts(document: Document) -> dict[str, Any]:
 def find_differences(one: Any, other: Any, name: str) -> Iterator[str]:
     """Yield the names of fields in which two values differ.
 
-    Rounding errors are no differences.
+    Rounding errors are no differences. `name` is that of the two values.
     """
     if isinstance(one, Value) and type(one) is type(other):
         fields, others = one.to_fields(), other.to_fields()

@@ -130,7 +130,10 @@ def reject_coupled_rates(model: Model, user: str) -> None:
 
 
 def require_force_densities(model: Model, user: str) -> None:
-    """Raise ValueError unless force densities are the control."""
+    """Raise ValueError unless force densities are the control.
+
+    `user` names the method that needs them, for the message.
+    """
     if not controls_force_densities(model):
         raise ValueError(
             f"{user} is for force densities, and the model has control={model.scene.control}: give a model of Scene(..., control=ForceDensity())"

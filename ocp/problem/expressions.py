@@ -310,8 +310,8 @@ def _first(
 ) -> tuple[Array, Booleans]:
     """Evaluate an expression at the initial state with zero controls.
 
-    Returns its entries, and whether each depends on the controls. Both are empty if the start is
-    None.
+    ``item`` is the bound or cost, ``value`` its expression in ``symbols``. Returns its entries, and
+    whether each depends on the controls. Both are empty if the start is None.
     """
     column = ca.densify(ca.vec(value))
     function = ca.Function("first", symbols, [column], {"allow_free": True})

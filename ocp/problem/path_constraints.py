@@ -157,7 +157,7 @@ def scaled_rows(
 ) -> list[ScaledRows]:
     """Build the scaled path constraints of a class of bounds.
 
-    ``strength`` is a typical force density [N/m].
+    ``strength`` is a typical force density [N/m]. ``kind`` is the class.
     """
     return [_scale(one, scales, strength) for one in path_constraints(problem, kind)]
 

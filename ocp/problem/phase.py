@@ -109,7 +109,8 @@ def phases_between(
 ) -> tuple[Phase, ...]:
     """Build the phases between waypoints whose times are free.
 
-    Raises ValueError if the times contradict each other or the duration.
+    Raises ValueError if the times contradict each other or the duration. The total duration is
+    between ``shortest`` and ``longest`` [s].
     """
     least = 1e-2 * longest
     spans = [one.time for one in waypoints if isinstance(one.time, tuple)]
@@ -141,7 +142,10 @@ def phases_between(
 
 
 def reject_phases(phases: Sequence[Phase], user: str) -> None:
-    """Raise ValueError if a problem has phases."""
+    """Raise ValueError if a problem has phases.
+
+    ``user`` names the function that does not support them.
+    """
     if phases:
         raise ValueError(
             f"{user} takes no problem with phases: give one without, or plan it by ocp.solve"

@@ -17,7 +17,7 @@ def read_items(
     """Read a tuple of objects of one class.
 
     Names of nodes, bars and strings are replaced by indices if `names` are given. Raises TypeError,
-    ValueError.
+    ValueError. ``kinds`` is the class and ``example`` the cure in error messages.
     """
     found = as_tuple(field, values, example)
     for k, value in enumerate(found):

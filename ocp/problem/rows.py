@@ -54,7 +54,10 @@ class Rows:
         )
 
     def sizes(self, units: Mapping[str, float]) -> Array:
-        """Return the scale (m,) of each row by its unit."""
+        """Return the scale (m,) of each row by its unit.
+
+        ``units`` maps units such as "m/s" to scales.
+        """
         return np.array([units[unit] for unit in self.units], dtype=float)
 
     def scale(self, units: Mapping[str, float]) -> Any:

@@ -56,7 +56,8 @@ def measure_errors(plan: PlanResult, target: Target | None, state_at: StateAt) -
     """Compute the goal residuals of several trajectories.
 
     `state_at` returns their states (n, nx) at a fraction of the duration. Residuals refer to the
-    user's goals and waypoints. Without goals they refer to the final state of the plan.
+    user's goals and waypoints. Without goals they refer to the final state of the plan. `target`
+    has the goals.
     """
     duration, worst = float(plan.time[-1]), ""
     if target is not None and any(part.names for _, part, _ in target.instants):
@@ -117,7 +118,10 @@ class _Verified(NamedTuple):
         return float(np.nan_to_num(max(self.position, self.velocity * duration), nan=np.inf))
 
     def describe(self, name: str, success: bool) -> str:
-        """Describe the final errors of the replay for a message."""
+        """Describe the final errors of the replay for a message.
+
+        `name` is the kind of replay, such as "replay".
+        """
         if np.isnan(self.position):
             return self.note
         text = f"its {name} ends {self.position:.2g} m and {self.velocity:.2g} m/s from the goals"
@@ -137,12 +141,12 @@ def assess_plan(
 ) -> PlanResult:
     """Accept or reject a plan by its replay.
 
-    The replay must meet goals, waypoints and terminal limits within the tolerance, and the plan all
-    limits. Convergence of the solver is not required. By default the open-loop replay counts. The
-    replay under the feedback of `track` counts instead if `tracked` is True, or if errors grow so
-    fast that no open-loop simulation follows the plan, see `describe_growth`. `scene` is that of
-    the user's problem, whose strings can break or yield. Returns the plan with its errors, success
-    and message.
+    `found` is the result of the attempt, `target` has its goal rows. The replay must meet goals,
+    waypoints and terminal limits within the tolerance, and the plan all limits. Convergence of the
+    solver is not required. By default the open-loop replay counts. The replay under the feedback of
+    `track` counts instead if `tracked` is True, or if errors grow so fast that no open-loop
+    simulation follows the plan, see `describe_growth`. `scene` is that of the user's problem, whose
+    strings can break or yield. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -303,7 +307,8 @@ def _advise(plan: PlanResult, found: Outcome) -> str:
 def _describe_overload(scene: Scene, motion: Trajectory | None) -> str:
     """Describe a string that breaks or yields in a replay.
 
-    This happens between mesh points. Returns "" if there is none.
+    This happens between mesh points. Returns "" if there is none. `motion` is the replay, or None
+    without a valid one.
     """
     if motion is None:
         return ""
@@ -316,7 +321,7 @@ def _describe_violation(plan: PlanResult, motion: Trajectory | None) -> str:
     """Describe the largest limit violation of a replay with contact.
 
     The limits hold at mesh points, so that the violation is between them. Returns "" if there is
-    none, and for scenes without ground.
+    none, and for scenes without ground. `motion` is the replay, or None without a valid one.
     """
     problem: Problem | None = plan.problem
     if problem is None or motion is None or not problem.model.scene.grounds:

@@ -52,7 +52,8 @@ def build_interpolant(model: Model, states: Array, duration: float, fractions: A
     """Build the interpolant of the planned states.
 
     It is a function of the fraction of the duration: the cubic Hermite interpolant of the states (K
-    + 1, nx) at the mesh points, by which waypoints are imposed.
+    + 1, nx) at the mesh points, by which waypoints are imposed. `fractions` (K,) are the interval
+    lengths relative to the duration.
     """
 
     def state_at(share: float) -> Array:
@@ -83,7 +84,8 @@ def explain_failure(
 
     The message gives the cause, its cure, and the name of the largest violation. `state_at` returns
     the planned states at a fraction of the duration. `step` is the longest step of its
-    discretization [s]; 0 omits the check of its length.
+    discretization [s]; 0 omits the check of its length. `solution` is the last iterate of the
+    solver, `found` the same as states and controls.
     """
     functions = [program.problem["f"], program.problem["g"]]
     values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
@@ -134,7 +136,8 @@ def _describe_limits(
 ) -> list[str]:
     """Describe active upper limits and conflicting limits.
 
-    Limits conflict if no control satisfies all of them at the target state.
+    Limits conflict if no control satisfies all of them at the target state. `g` are the values of
+    the constraints.
     """
     names = _list_active(program.w_names, solution.w, program.w_lower, program.w_upper)
     rows = _list_active(program.names, g, program.lower, program.upper)
@@ -167,7 +170,8 @@ def _find_overdetermined(target: Target, program: Program) -> str:
 def _explain_rates(program: Program, solution: Solution, violation: Array, too_long: str) -> str:
     """Explain how much larger rate limits would permit a solution.
 
-    Returns "" if the rate limits are not the cause of the failure.
+    `violation` (m,) are the violations of all constraints. `too_long` is the message about long
+    steps, or "". Returns "" if the rate limits are not the cause of the failure.
     """
     if solution.status != TOO_SLOW:
         return ""
@@ -218,7 +222,7 @@ def find_long_steps(model: Model, states: Array, gamma: Array, step: float, dura
 def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) -> str:
     """Find the constraint, cost or derivative that is not finite.
 
-    Returns "" if there is none.
+    `f` is the cost and `g` are the constraints at the solution. Returns "" if there is none.
     """
     if not np.all(np.isfinite(g)):
         return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
@@ -269,6 +273,9 @@ def _find_runaway(program: Program, solution: Solution) -> str:
 
 
 def _list_active(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
-    """List the names of entries at or above upper limits."""
+    """List the names of entries at or above upper limits.
+
+    Entries with equal lower and upper limits do not count.
+    """
     limited = np.isfinite(upper) & (lower < upper)
     return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - 1e-3 * abs(upper[k])]

@@ -42,7 +42,7 @@ def refine_until_accurate(
     not halve it. `find_plan` has the arguments of `ocp.search.find_plan.find_plan`, one of which is
     the `monitor`. Returns the best plan, whose message reports if it misses the tolerance. A plan
     of a search that did not converge is returned unchanged. Raises ValueError if problem,
-    transcription or solver of the plan are unknown.
+    transcription or solver of the plan are unknown. `attempts` is the largest number of attempts.
     """
     problem, transcription, solver = plan.problem, plan.transcription, plan.solver
     if problem is None or transcription is None or solver is None:
@@ -71,7 +71,8 @@ def _search(
 ) -> tuple[PlanResult, str]:
     """Refine the mesh of a plan in several attempts.
 
-    Returns the plan and "", or the best plan and the reason why it misses the tolerance.
+    `again` solves the problem with new options. Returns the plan and "", or the best plan and the
+    reason why it misses the tolerance.
     """
     solver = plan.solver
     if isinstance(solver, Sampling):
@@ -129,7 +130,8 @@ def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
 def _sample_again(plan: PlanResult, tolerance: float, again: Again) -> tuple[PlanResult, str]:
     """Repeat the random search for a more accurate plan.
 
-    Returns the plan and "", or the given plan and the reason why it misses the tolerance.
+    `again` solves the problem with new options. Returns the plan and "", or the given plan and the
+    reason why it misses the tolerance.
     """
     if not plan.success or plan.worst_error <= tolerance:
         return plan, ""

@@ -233,7 +233,7 @@ def _find_dual(finding: Finding, duals: Duals | None) -> float:
 
 
 class _LimitedValues(NamedTuple):
-    """Values (n, m) of limited quantities at times (n,)."""
+    """Values (n, m) of limited quantities at times (n,) [s]."""
 
     limited: PathConstraint
     time: Array

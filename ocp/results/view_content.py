@@ -53,7 +53,7 @@ def describe_plan(plan: Any) -> ViewContent:
 
 
 def _list_goals(plan: Any) -> Iterator[tuple[float, Any]]:
-    """Yield the goals of a problem with their times [s]."""
+    """Yield the goals of a plan's problem with their times [s]."""
     problem, first, last = plan.problem, float(plan.time[0]), float(plan.time[-1])
     if problem is None:
         return
@@ -73,7 +73,7 @@ def _list_goals(plan: Any) -> Iterator[tuple[float, Any]]:
 def _find_targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:
     """Find the target positions (k, 3) of nodes [m].
 
-    Along free axes they are those of the plan.
+    Along free axes they are those of the plan. `timed` are goals with their times [s].
     """
     targets = []
     for time, goal in timed:
@@ -89,7 +89,10 @@ def _find_targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:
 
 
 def _build_charts(plan: Any, replay: Any, bounds: list[Any]) -> Iterator[Chart]:
-    """Yield charts of the control and of limited tensions."""
+    """Yield charts of the control and of limited tensions.
+
+    `bounds` are those of the problem. `replay` is the replay of the plan.
+    """
 
     def chart(title: str, unit: str, time: Array, values: Array, kind: type[StringLimits]) -> Chart:
         names = list_names(plan.structure, "string", values.shape[1])
@@ -121,7 +124,7 @@ def _limits(
 ) -> tuple[Array, Array]:
     """Find the tightest limits (α,) of a class of bounds.
 
-    They are infinite if there are none.
+    They are infinite if there are none. `kind` is the class; `count` is the number α of strings.
     """
     lower, upper = np.full(count, -np.inf), np.full(count, np.inf)
     for bound in bounds:

@@ -154,10 +154,11 @@ class BatchSimulation:
     ) -> tuple[Array, Array, Array]:
         """Simulate n control sequences over k intervals.
 
-        Returns the force densities (n, k, α), the states (n, k + 1, nx) at the ends of the
-        intervals from `first` on, and the running costs (n,). `wanted` (n, k, α) are the force
-        densities without the feedback law, and `finer` multiplies the number of steps. Costs are
-        inf and states NaN if a simulation diverges. Ctrl-C raises KeyboardInterrupt.
+        `starts` (n, nx) are the states at the start of interval `first`. `duration` is that of the
+        whole plan [s]. Returns the force densities (n, k, α), the states (n, k + 1, nx) at the ends
+        of the intervals from `first` on, and the running costs (n,). `wanted` (n, k, α) are the
+        force densities without the feedback law, and `finer` multiplies the number of steps. Costs
+        are inf and states NaN if a simulation diverges. Ctrl-C raises KeyboardInterrupt.
         """
         n, count, nu = wanted.shape
         ends = duration * np.cumsum(self.fractions)[first : first + count]
@@ -194,7 +195,8 @@ class BatchSimulation:
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
         """Compute goal residuals (n, m) in units of their tolerances.
 
-        The tolerance of velocities is `speed` times that of positions per duration.
+        The tolerance of velocities is `speed` times that of positions per duration. States (n, k +
+        1, nx) begin at interval `first`.
         """
         n, last = len(states), first + states.shape[1] - 1
         rows = [np.zeros((n, 0))]
@@ -312,7 +314,8 @@ class BatchSimulation:
     def _other_costs(self, states: Array, controls: Array, first: int) -> Array:
         """Compute the costs (n,) other than running costs.
 
-        They are functions of the controls, of their rates, and of single instants.
+        They are functions of the controls, of their rates, and of single instants. States (n, k +
+        1, nx) and controls (n, k, nu) begin at interval `first`.
         """
         n, count, _ = controls.shape
         whole, total = count == len(self.fractions), np.zeros(n)
@@ -361,7 +364,10 @@ class BatchSimulation:
         return found
 
     def _evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:
-        """Evaluate a Function for n rows of inputs in one call."""
+        """Evaluate a Function for n rows of inputs in one call.
+
+        `name` is the key under which its map is cached.
+        """
         n = len(inputs[0])
         if (name, n) not in self._cached:
             self._cached[name, n] = ArrayFunction(function.map(n))

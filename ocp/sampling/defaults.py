@@ -50,7 +50,10 @@ class SamplingDefaults(NamedTuple):
         return int(np.clip(np.ceil(problem.longest * rate / 0.6), 20, 400))
 
     def knots(self, seconds: float) -> int:
-        """Choose the number of spline knots, three per free-fall time."""
+        """Choose the number of spline knots, three per free-fall time.
+
+        `seconds` is the duration of the spline.
+        """
         return int(np.clip(np.ceil(3 * seconds / self.fall), 6, 24))
 
 

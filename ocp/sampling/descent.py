@@ -73,8 +73,9 @@ class Descent:
     ) -> tuple[Candidate, int]:
         """Iterate until residuals are small.
 
-        `speed` multiplies the tolerance of velocities. Returns the best candidate and the number of
-        iterations.
+        `wanted` (K, α) are the initial force densities. `over` reports progress and returns whether
+        to stop. `speed` multiplies the tolerance of velocities. Returns the best candidate and the
+        number of iterations.
         """
         self._speed = speed
         point, stalls = self._points(wanted[None], [duration])[0], 0
@@ -93,7 +94,10 @@ class Descent:
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:
-        """Compute the largest residual in a simulation with finer steps."""
+        """Compute the largest residual in a simulation with finer steps.
+
+        `finer` multiplies the number of steps. The result is inf if the simulation diverges.
+        """
         motions = self._motions
         law, motions.law = motions.law, None
         states = motions.roll(
@@ -107,7 +111,10 @@ class Descent:
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
     def _points(self, wanted: Array, durations: list[float]) -> list[Candidate]:
-        """Simulate force densities (n, K, α) and build candidates."""
+        """Simulate force densities (n, K, α) and build candidates.
+
+        `wanted` are the force densities, `durations` the n durations [s].
+        """
         if len(set(durations)) > 1:
             return [
                 self._points(one[None], [duration])[0]
@@ -177,7 +184,8 @@ class Descent:
     def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
         """Compute the Jacobian (m, n) by finite differences.
 
-        Columns are 0 if a simulation diverges.
+        Candidate k of `moved` differs from `point` by the change by[k]. Columns are 0 if a
+        simulation diverges.
         """
         slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
         return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)

@@ -110,7 +110,10 @@ def _instant(problem: Problem) -> tuple[Instant, Any]:
 
 
 def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
-    """Sum the squared goal residuals, divided by their sizes."""
+    """Sum the squared goal residuals, divided by their sizes.
+
+    `sizes` maps units such as "m/s" to scales. `now` is the symbolic instant.
+    """
     asked = [
         type(part).__name__
         for part in (problem.start, *problem.goals)
@@ -143,13 +146,20 @@ def _broken(now: Instant) -> Any:
 
 
 def _excess(rows: ScaledRows, *given: Any) -> Any:
-    """Sum the scaled violations of path constraints."""
+    """Sum the scaled violations of path constraints.
+
+    `given` are the arguments of their Function.
+    """
     value = rows.function(*given)
     return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))
 
 
 def build_control_cost(problem: Problem, period: float, intervals: int) -> ca.Function | None:
-    """Build the Function u → cost that depends on controls alone."""
+    """Build the Function u → cost that depends on controls alone.
+
+    u is (nu, intervals), for intervals of length `period` [s]. Returns None if there are no such
+    costs.
+    """
     terms = cost_terms(problem.costs).express(problem.model)
     gamma = ca.SX.sym("u", problem.model.nu, intervals)
     each = [expression(gamma, period) for expression in (*terms.control, *terms.changes)]
@@ -161,7 +171,8 @@ def build_rate_cost(
 ) -> ca.Function | None:
     """Build the Function (x, u, x⁺, u⁺) → penalty of rate limits.
 
-    The arguments are state and control in successive periods.
+    The arguments are state and control in successive periods. `strength` is a typical force density
+    [N/m]. Returns None without rate limits.
     """
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [

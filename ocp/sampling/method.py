@@ -230,7 +230,10 @@ class _Method:
         return [SplineNoise(spread, groups=groups).directions(count) for groups in levels]
 
     def _over(self, line: str) -> bool:
-        """Report progress, and return whether to stop."""
+        """Report progress, and return whether to stop.
+
+        `line` describes the progress.
+        """
         if self._solver.verbose:
             sys.stdout.write(line + "\n")
         watch = self._solver.callback

@@ -87,7 +87,8 @@ class Search:
     def run(self, over: Watcher) -> list[Lineage]:
         """Search leg by leg, from one instant with goals to the next.
 
-        Returns the best trajectories of all parallel searches, the best first.
+        `over` reports progress and returns whether to stop. Returns the best trajectories of all
+        parallel searches, the best first.
         """
         problem, none = self._motions.problem, np.zeros((0, len(self._nominal)))
         span = problem.shortest, problem.longest
@@ -101,7 +102,11 @@ class Search:
         return found
 
     def _leg(self, lineages: list[Lineage], first: int, last: int, over: Watcher) -> list[Lineage]:
-        """Search a leg that begins at the ends of given trajectories."""
+        """Search a leg that begins at the ends of given trajectories.
+
+        The leg is from interval `first` to `last`; `lineages` are the trajectories up to it. `over`
+        reports progress and returns whether to stop.
+        """
         basis = SplineNoise(1.0, self._knots).basis(last - first)
         knots, wanted = (
             np.zeros((basis.shape[1], len(self._nominal))),

@@ -46,7 +46,7 @@ class ReducedCoordinates:
     def guess(self, value: InitialGuess | None) -> InitialGuess | None:
         """Convert an initial guess to reduced coordinates.
 
-        Raises ValueError for arrays of another size.
+        None remains None. Raises ValueError for arrays of another size.
         """
         full = self.given.model
         if isinstance(value, TrajectoryGuess):
@@ -140,7 +140,8 @@ class _Seen(Instant):
 def _seen(item: Any, model: Model) -> Any:
     """Adapt a user-defined bound or cost to reduced coordinates.
 
-    Its expression receives instants in full coordinates. Other bounds and costs remain unchanged.
+    Its expression receives instants in the full coordinates of `model`. Other bounds and costs
+    (`item`) remain unchanged.
     """
     if not isinstance(item, _OWN):
         return item

@@ -42,7 +42,8 @@ from tenscasadi.util.troubleshooting import add_address
 class _PlanSearch(NamedTuple):
     """Arguments that all attempts of a search share.
 
-    `reduced` is None if the problem keeps its coordinates.
+    `reduced` is None if the problem keeps its coordinates. `task` is the problem in the coordinates
+    of the solver.
     """
 
     task: PlanningTask
@@ -94,6 +95,8 @@ def _prepare(
     """Check a problem and find its final state before the attempts.
 
     The final state is missing if the search has to stop before. Raises InfeasibleGoalError.
+    `control` is the control profile, whose groups have to fit the limits. `guess` can be a plan,
+    near which the final state is found.
     """
     scales, near = Scales.of(problem), _interpolate_guess(problem, guess)
     limit = RELIABLE * scales.length if tolerance is None else tolerance
@@ -122,8 +125,9 @@ def _walk(
 ) -> PlanResult:
     """Run attempts until the first success.
 
-    An attempt is skipped if it does not apply to the kind of the last failure. If the search has to
-    stop while an attempt is being built, `first` provides the result.
+    `rows` are the attempts. With `automatic`, the user gave no method, and the message names the
+    one that was chosen. An attempt is skipped if it does not apply to the kind of the last failure.
+    If the search has to stop while an attempt is being built, `first` provides the result.
     """
     tried: list[tuple[str, PlanResult]] = []
     plan: PlanResult | None = None

@@ -101,7 +101,8 @@ def _plan_force_densities(
 ) -> tuple[Outcome, Target | None]:
     """Run an attempt with force densities as control.
 
-    The result is converted to rest lengths or their rates.
+    `twin` is the `task` with force densities as control. The result is converted to rest lengths or
+    their rates.
     """
     found, target = _find_force_densities(task.problem, twin, attempt)
     outcome = convert_outcome(task.problem, attempt.transcription.fractions, found)
@@ -111,7 +112,10 @@ def _plan_force_densities(
 def _find_force_densities(
     problem: Problem, twin: PlanningTask, attempt: Attempt
 ) -> tuple[Outcome, Target | None]:
-    """Run an attempt in force densities whose rest lengths keep to the rate limits."""
+    """Run an attempt in force densities, within rest-length rate limits.
+
+    `twin` is the task with force densities as control, `problem` the one with rest lengths.
+    """
     fractions = attempt.transcription.fractions
     found, target = run_attempt(twin, attempt._replace(twin=None))
     iterations = found.iterations
@@ -183,7 +187,10 @@ def _drop_slack(problem: Problem) -> Problem:
 
 
 def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: Guess) -> Outcome:
-    """Transcribe a problem, and solve the nonlinear program."""
+    """Transcribe a problem, and solve the nonlinear program.
+
+    `guess` is the initial guess on equal intervals; `target` has the final state and the goal rows.
+    """
     transcription, solver, origin, *_ = attempt
     problem, monitor = _drop_slack(task.problem), task.monitor
     if isinstance(solver, Sampling):

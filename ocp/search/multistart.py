@@ -27,7 +27,8 @@ def find_best_plan(
     """Find the best plan from `count` initial guesses.
 
     The plan has the objectives of all starts. `options` are transcription, solver, guess and
-    tolerance, as in `find_plan`. Raises ValueError if neither guess nor solver has a seed.
+    tolerance, and `tracked` a flag, as in `ocp.solve`. The starts run in parallel if there is an
+    `executor`. Raises ValueError if neither guess nor solver has a seed.
     """
     transcription, solver, guess, tolerance = options
     automatic = transcription is None and solver is None
@@ -83,9 +84,10 @@ def find_limited_plan(
 def _vary_seeds(
     problem: Problem, guess: InitialGuess | None, solver: Any, automatic: bool, count: int
 ) -> list[tuple[Any, Any]]:
-    """List initial guesses and solvers with different random seeds.
+    """List `count` initial guesses and solvers with different seeds.
 
-    Raises ValueError if neither has a seed.
+    `automatic` tells that the user gave neither transcription nor solver. The default may then be
+    `Sampling`. Raises ValueError if neither guess nor solver has a seed.
     """
     grounds = problem.model.scene.grounds and not problem.phases and not problem.free_start
     if isinstance(solver, Sampling) or (automatic and grounds):

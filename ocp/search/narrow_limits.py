@@ -71,7 +71,7 @@ def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> s
 
 
 def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float | None:
-    """Find the shortest duration that satisfies the limits.
+    """Find the shortest duration [s] that satisfies the limits.
 
     It is inf if there is none up to `longest`, and None if the search is impossible or not
     completed.

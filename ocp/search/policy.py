@@ -113,7 +113,10 @@ class Attempt(NamedTuple):
 
 
 class _EvaluatedGuess(NamedTuple):
-    """Initial guess with a stored value for one number of intervals."""
+    """Initial guess with a stored value for one number of intervals.
+
+    `known` is the value; `origin` computes it for other numbers.
+    """
 
     origin: InitialGuess
     known: Guess
@@ -191,7 +194,8 @@ def build_force_density_attempt(
 ) -> Attempt | None:
     """Build the attempt with force densities as control.
 
-    Returns None if they cannot be the control, or if no final state was found.
+    Returns None if they cannot be the control, or if no final state was found. `accuracy` is the
+    accuracy of its transcription. `after` is the kind of failure after which the attempt runs.
     """
     twin = build_force_density_task(task)
     if twin is None or twin.target is None:
@@ -247,7 +251,7 @@ def complete(
 ) -> Attempt:
     """Build the attempt with the user's transcription and solver.
 
-    Defaults replace a missing one.
+    Defaults replace a missing one. `guess` is None for the default guess.
     """
     solver = Ipopt() if solver is None else solver
     if transcription is None:

@@ -96,7 +96,10 @@ class RestLengthSpeeds(RateBound):
     rate: Array
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the rates under force densities that are linear in between."""
+        """Build the rates under force densities that are linear in between.
+
+        `interval` is the time [s] from `before` to `after`.
+        """
         structure = before.model.scene.structure
         k, c = ca.DM(structure.stiffness), ca.DM(structure.damping)
         first, last = (now.lengths * (1 - now.force_density / k) for now in (before, after))
@@ -177,7 +180,8 @@ def tighten_rates(
     """Tighten the rate limits of a problem in force densities.
 
     They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
-    between. Returns None if they do not.
+    between. Returns None if they do not. `twin` is the problem in force densities. `fractions` are
+    the interval lengths relative to the duration.
     """
     locked = lock_winches(problem) if problem.model.na else problem
     structure = problem.model.scene.structure
@@ -201,6 +205,7 @@ def tighten_rates(
 def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
     """Convert a result in force densities to rest-length control.
 
+    `fractions` are the interval lengths relative to the duration, `found` is the result.
     Piecewise-linear force densities become rest lengths, their rates, or motor torques. Rates are
     constant where rest lengths are linear. They lag behind where damping would require rates beyond
     the limits. Torques follow from the inverse dynamics of the motors, whose speeds jump between
@@ -225,7 +230,7 @@ def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outco
 
 
 def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
-    """Compute the tensions (K, α) [N] at rest lengths (K, α) [m]."""
+    """Compute the tensions (K, α) [N] at rest lengths `rest` [m]."""
     lengths = distances(model.nodes(states), model.structure.strings)
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 

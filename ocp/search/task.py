@@ -63,7 +63,8 @@ def prepare(
 
     With `near`, a trajectory as a function of time, it is the nearest one to that trajectory; see
     `find_target`. Raises ValueError for conflicting limits, and InfeasibleGoalError for infeasible
-    goals.
+    goals. `control` is the control profile, whose groups have to fit the limits. `tolerance` is
+    that of the goals [m].
     """
     check_groups(problem, control)
     monitor = Monitor() if monitor is None else monitor
@@ -83,7 +84,7 @@ def check_groups(problem: Problem, profile: Profile) -> None:
     """Check that limits are consistent within each control group.
 
     Strings of a group share one control value. Raises ValueError if their limits contradict each
-    other.
+    other. `profile` has the groups.
     """
     lower, upper = problem.control_limits
     name, unit = control_name(problem.model), control_unit(problem.model)

@@ -90,7 +90,8 @@ class Outcome(NamedTuple):
 def find_best_iterate(program: Program, monitor: Monitor) -> Solution:
     """Build the result of a solver that was stopped early.
 
-    It is the best iterate so far. Relaxation variables at the end of its vector are removed.
+    It is the best iterate that `monitor` has stored, or the initial guess of the program.
+    Relaxation variables at the end of its vector are removed.
     """
     count, w = monitor.iterate or (0, program.first)
     return Solution(w[: len(program.first)], False, monitor.status(), count)

@@ -121,7 +121,10 @@ class HorizonProgram(NamedTuple):
 
 
 def name_inputs(intervals: int) -> list[str]:
-    """Name the inputs of a solver of `HorizonProgram`."""
+    """Name the inputs of a solver of `HorizonProgram`.
+
+    `intervals` is the number of sampling periods in the horizon.
+    """
     blocks = [f"G{k + 1}" for k in range(intervals)]
     return [*blocks, "residual", "weights", "offset", "a", "b", "low", "high"]
 

@@ -165,7 +165,8 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
     def _run(self, run: Callable[..., Solution], program: Program, monitor: Monitor) -> Solution:
         """Solve, and solve again from a perturbed guess after a saddle.
 
-        Points without derivatives, such as the center of an obstacle, count as saddles.
+        `run` calls the solver that was built for the program. Points without derivatives, such as
+        the center of an obstacle, count as saddles.
         """
         if program.multipliers is not None or self.warm_start:
             return run(program, monitor)
@@ -278,7 +279,8 @@ class BestIterate(ca.Callback):
     ) -> None:
         """Prepare for a run with given constraint bounds.
 
-        `leaving` is the solver if it stops at a saddle, else None.
+        `lower` and `upper` are those of g. `leaving` is the solver if it stops at a saddle, else
+        None.
         """
         self._lower, self._upper, self._monitor = lower, upper, monitor
         self._leaving = leaving
@@ -309,7 +311,10 @@ class BestIterate(ca.Callback):
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
-        """Write whether to stop into `res`."""
+        """Write whether to stop into `res`.
+
+        `arg` are the outputs of `nlpsol` at the current iterate.
+        """
         w, f, g = (np.frombuffer(arg[k] or b"") for k in self._used)
         violation = float(
             np.maximum(np.maximum(self._lower - g, g - self._upper), 0.0).max(initial=0.0)

@@ -89,7 +89,7 @@ class Monitor:
     def limit(self, time_limit: float | None) -> Monitor:
         """Build the monitor of a part of the search.
 
-        It has a time limit [s] of its own.
+        It has a time limit [s] of its own. None is no limit.
         """
         return Monitor(time_limit, self._show, self._watch)
 
@@ -105,7 +105,10 @@ class Monitor:
 
     @property
     def iterate(self) -> tuple[int, Array] | None:
-        """Iteration number and best iterate of a function in a thread."""
+        """Iteration number and best iterate of a function in a thread.
+
+        None if there is no thread, or no iterate yet.
+        """
         return None if self._worker is None else self._worker.iterate
 
     def status(self) -> str:

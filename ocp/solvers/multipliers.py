@@ -80,7 +80,7 @@ def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: 
     """Convert scaled duals to physical units, with names.
 
     `w` is the scaled solution; `rows` are the duals of the constraints, and `limits` those of the
-    bounds on variables.
+    bounds on variables. `target` converts duals of combined goal rows to those of the goals.
     """
     names, values = [], []
     for part in _find_parts(program, target):
@@ -104,7 +104,11 @@ def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: 
 
 
 def warm_start_program(program: Program, target: Target, duals: Duals) -> Program:
-    """Warm-start a program from the duals of an equal program."""
+    """Warm-start a program from the duals of an equal program.
+
+    `target` combines duals of the goals to those of goal rows. If names differ, the program is
+    returned unchanged.
+    """
     rest, parts = _find_rest(program), _find_parts(program, target)
     goals = [f"{part.label}{name}" for part in parts for name in part.target.reduction.names]
     if duals.names != (*(program.names[k] for k in rest), *goals, *program.w_names):
@@ -126,13 +130,21 @@ def warm_start_program(program: Program, target: Target, duals: Duals) -> Progra
 
 
 class _Part(NamedTuple):
+    """Goal constraints of a waypoint or of the end.
+
+    `label` begins their names; `rows` are their places among the constraints.
+    """
+
     target: Target
     label: str
     rows: slice
 
 
 def _find_parts(program: Program, target: Target) -> list[_Part]:
-    """Find the goal constraints of waypoints and end."""
+    """Find the goal constraints of waypoints and end.
+
+    `target` is that of the end, with those of the waypoints.
+    """
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
     return [

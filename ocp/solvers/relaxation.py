@@ -107,7 +107,8 @@ def find_rate_relaxation(
 ) -> Solution | None:
     """Find a solution with minimum relaxation of the rate limits.
 
-    Returns None if the solver failed for another reason, or if rate limits are not the cause.
+    `failed` is the result of the solver without relaxation. Returns None if the solver failed for
+    another reason, or if rate limits are not the cause.
     """
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
@@ -121,7 +122,10 @@ def find_rate_relaxation(
 
 
 def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -> Solution:
-    """Find a solution with the minimum sum of relaxations."""
+    """Find a solution with the minimum sum of relaxations.
+
+    `relaxed` holds the program. Tolerance and iterations of `solver` are limited.
+    """
     # Relaxed rates of rest lengths (test_relaxation.py) take 9 CPU s, else 13. Other limits take the
     # same time with the tolerance and the iterations of the solver.
     own = replace(
@@ -136,7 +140,10 @@ def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -
 
 
 def measure_relaxation(program: Program, w: Array) -> float:
-    """Compute the largest relative violation of rate limits."""
+    """Compute the largest relative violation of rate limits.
+
+    `w` are the scaled decision variables. The violation is 0 if all limits hold.
+    """
     rates = find_rate_rows(program)
     g = ca.Function("g", [program.parts.w], [program.parts.g])(w).full().ravel()[rates]
     lower, upper = program.lower[rates], program.upper[rates]
@@ -193,7 +200,10 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
 
 
 def _find_control_limits(program: Program) -> Block | None:
-    """Convert the bounds on controls to constraints."""
+    """Convert the bounds on controls to constraints.
+
+    Returns None if no control has bounds.
+    """
     known = program.parts.unknowns
     limited = np.isfinite(program.w_lower) | np.isfinite(program.w_upper)
     which = np.flatnonzero(limited & np.isfinite(known.interval))
@@ -208,7 +218,11 @@ def _find_control_limits(program: Program) -> Block | None:
 
 
 class _Relaxations(NamedTuple):
-    """Names, limit sizes, upper bounds and initial values of relaxation variables."""
+    """Relaxation variables.
+
+    `size` are the sizes of their limits, `most` their upper bounds, and `first` their initial
+    values relative to `size`.
+    """
 
     names: tuple[str, ...]
     size: Array
@@ -259,8 +273,9 @@ def _group_limits(block: Block, keys: dict[tuple[str, str, float], int]) -> Indi
 def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tuple[Array, Array]]:
     """Evaluate the constraints of blocks, and their violations.
 
-    For each block, returns the values (count, rows), and lower limits minus values, values minus
-    upper limits (2, count, rows). Positive differences are violations.
+    `w` are the scaled decision variables. For each block, returns the values (count, rows), and
+    lower limits minus values, values minus upper limits (2, count, rows). Positive differences are
+    violations.
     """
     known = program.parts.unknowns
     y = np.append(known.scale * w, known.constants)
@@ -290,7 +305,11 @@ def _add_relaxations(known: Unknowns, relaxations: _Relaxations) -> Unknowns:
 
 
 def _build_cost(n: int, sizes: Array) -> Block:
-    """Build the cost function, the sum of all relaxations."""
+    """Build the cost function, the sum of all relaxations.
+
+    The relaxation variables follow the n decision variables. Each is divided by the size of its
+    limit.
+    """
     relaxation = ca.SX.sym("relaxation", len(sizes))
     function = ca.Function("cost", [relaxation], [ca.dot(relaxation, ca.DM(1 / sizes))])
     return Block(function, np.arange(n, n + len(sizes))[None], ("cost",), kind="cost")

@@ -62,12 +62,18 @@ class QuadraticRows(NamedTuple):
         return ~np.isin(np.arange(len(self.c)), self.row[self.value != 0])
 
     def hessian(self, multipliers: Array) -> sp.csr_array:
-        """Compute the Hessian (n, n) of multipliersᵀ residuals."""
+        """Compute the Hessian (n, n) of multipliersᵀ residuals.
+
+        There is one multiplier for each of the m residuals.
+        """
         entries = multipliers[self.row] * self.value, (self.one, self.other)
         return sp.csr_array(sp.coo_array(entries, shape=(self.A.shape[1],) * 2))
 
     def at(self, z: Array) -> tuple[Array, Array]:
-        """Compute the residuals (m,) and their Jacobian (m, n)."""
+        """Compute the residuals (m,) and their Jacobian (m, n).
+
+        z (n,) is the scaled state.
+        """
         entries = self.value * z[self.other], (self.row, self.one)
         J = self.A + sp.coo_array(entries, shape=self.A.shape).toarray()
         return self.c + (self.A + J) @ z / 2, J
@@ -133,7 +139,7 @@ def prove_infeasible(
 def solve_affine(rows: QuadraticRows, box: Array) -> Array:
     """Minimize affine residuals by least squares within a box.
 
-    The unknown is the scaled state.
+    The unknown is the scaled state; `box` (2, n) are its limits.
     """
     if np.isfinite(box).any() and len(rows.c):
         return np.asarray(scipy.optimize.lsq_linear(rows.A, -rows.c, box, tol=1e-14).x)

@@ -64,7 +64,8 @@ def find_distance_rows(
 def _differentiate(nodes: Array, moved: Array, pairs: Indices) -> tuple[Array, Array]:
     """Compute the derivatives of squared distances along directions.
 
-    Returns twice the vectors (m, 3) between pairs of nodes, and the derivatives (k, m).
+    Returns twice the vectors (m, 3) between pairs of nodes, and the derivatives (k, m). `moved` (n,
+    3, k) are the directions.
     """
     apart = 2 * (nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
     return apart, np.einsum("ma,mak->km", apart, moved[pairs[:, 0]] - moved[pairs[:, 1]])

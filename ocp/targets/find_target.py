@@ -79,7 +79,8 @@ def _find_end(
 ) -> Target:
     """Find a state that meets the goals at one instant.
 
-    `share` is its fraction of the duration. A free initial state may be at any time of the plan.
+    `share` is the instant's fraction of the duration. A free initial state may be at any time of
+    the plan. The search starts at the state `near`. `label` begins its error messages.
     """
     search = _TargetSearch(problem, goals, share or 1.0, scales)
     if not search.goals.names:
@@ -119,7 +120,7 @@ class _TargetSearch:
         """Build the invariants of the motion after `time`.
 
         They are bar lengths, joints, clock and conserved momenta. A free initial state can have any
-        momentum, so that momenta are then omitted.
+        momentum, so that momenta are then omitted. `half_square` is time²/2.
         """
         start = self.problem.initial_state
         return [
@@ -230,7 +231,8 @@ class _TargetSearch:
     def _reject(self, y: Array) -> None:
         """Raise InfeasibleGoalError if the goals are proven infeasible.
 
-        Otherwise warn that no state was found.
+        Otherwise warn that no state was found. `y` is the state and duration that come closest to
+        the goals.
         """
         values = self.goal(y)[0]
         # the first of equal violations
@@ -268,8 +270,9 @@ class _TargetSearch:
     def _prove(self, y: Array) -> Any:
         """Prove that goals and invariants contradict each other.
 
-        Returns None if there is no proof. A free duration T enters by T and T²/2 as independent
-        unknowns within their limits.
+        `y` is the state and duration at which the search for a proof begins. Returns None if there
+        is no proof. A free duration T enters by T and T²/2 as independent unknowns within their
+        limits.
         """
         model, (first, last) = self.problem.model, (self.shortest, self.longest)
         free = first < last
@@ -301,8 +304,8 @@ class _TargetSearch:
     def impose(self, y: Array, met: bool) -> Target:
         """Select independent goal rows at y, and build the target.
 
-        If y meets the goals, their values are adjusted to it within rounding; otherwise they remain
-        as given.
+        `met` tells whether y meets the goals. If y meets the goals, their values are adjusted to it
+        within rounding; otherwise they remain as given.
         """
         values, H = self.goal(y)
         adjusted = float(np.abs(values).max(initial=0.0)) * self.scales.length if met else 0.0

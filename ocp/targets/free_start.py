@@ -79,7 +79,8 @@ def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
 def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
     """Reject periodic plans whose momentum must change.
 
-    Strings cannot prevent such changes, such as those by gravity.
+    Strings cannot prevent such changes, such as those by gravity. `momentum` is the change of the
+    momentum in one period, a function of the state `x`. It is evaluated at the state `near`.
     """
     scaled = ca.Function("change", [x], [momentum.scale(scales.units)])
     change = np.abs(scaled(near).full().ravel())

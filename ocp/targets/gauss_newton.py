@@ -54,7 +54,8 @@ class GaussNewton:
     def find_nearest(self, rows: RowFunction, goals: int, y: Array) -> Array:
         """Minimize the goal residuals subject to the other residuals.
 
-        The first `goals` residuals are minimized; the others are zero at the resulting y.
+        The search starts at y. The first `goals` residuals are minimized; the others are zero at
+        the resulting y.
         """
         crawling = 0
         for _ in range(MAX_ITERATIONS):
@@ -82,7 +83,7 @@ class GaussNewton:
         return y
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
-        """Yield shortened steps that reduce the residuals.
+        """Yield shortened steps from y that reduce the residuals.
 
         They are along regular directions, along all directions, and along those of second order.
         """
@@ -162,7 +163,7 @@ class GaussNewton:
         """Compute a step d from second derivatives.
 
         It solves c + b d + ½ dᵀ K d = 0 for the combinations of residuals with (nearly) zero
-        gradient.
+        gradient. Returns None if there are no such combinations.
         """
         directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:

@@ -198,7 +198,7 @@ def reduce_rows(
     """Find independent combinations of rows with Jacobian H (m, ny).
 
     `groups` are the gradients of the invariants by kind, each (·, ny). Combinations do not depend
-    on them either.
+    on them either. `names` and `sizes` (m,) are those of the rows; sizes are 1 by default.
     """
     norms = np.linalg.norm(H, axis=1)
     rows = H / np.maximum(norms, 1e-12)[:, None]

@@ -134,7 +134,8 @@ class Target:
     def measure(self, state_at: StateAt) -> GoalResiduals:
         """Compute the residuals of goals and waypoints of trajectories.
 
-        Those of waypoints are at their fractions of the duration.
+        `state_at` returns their states (n, nx) at a fraction of the duration. Residuals of
+        waypoints are at their fractions.
         """
         values: list[Array] = []
         names: tuple[str, ...] = ()
@@ -207,7 +208,10 @@ class Target:
 
 
 class WaypointTarget(NamedTuple):
-    """State that meets the goals of a waypoint, and their constraints."""
+    """State that meets the goals of a waypoint, and their constraints.
+
+    `share` is the fraction of the duration at which it applies.
+    """
 
     share: float
     target: Target

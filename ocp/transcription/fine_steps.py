@@ -80,8 +80,9 @@ class FineSteps:
     def whole(self, w: Array) -> tuple[Array, float]:
         """Integrate the whole plan in fine steps.
 
-        `w` are the scaled decision variables. Returns its states (K + 1, nx), and the largest
-        distance of the planned states from them [m]. Velocities count as velocity × duration.
+        `w` are the scaled decision variables. Returns the states (K + 1, nx) of this integration,
+        and the largest distance of the planned states from them [m]. Velocities count as velocity ×
+        duration.
         """
         states, held, duration = self.planned(w)
         later = self._chain(states[0], *held).full()

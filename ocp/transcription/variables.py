@@ -283,7 +283,7 @@ def name_controls(
     """Name the control variables, interval by interval.
 
     `what` is the quantity, such as "force density". `group_matrix` is the 0/1 matrix (strings,
-    groups). `begins` are the intervals in which their values begin. `labels` name the cables, and
+    groups). `begins` are the intervals in which control values begin. `labels` name the cables, and
     the strings that belong to no cable.
     """
     own = []

@@ -56,6 +56,9 @@ class AxisLimits(PathBound):
         return lower, np.array([np.inf if value is None else value for value in self.upper])
 
     def limit_vector(self, vector: Any, quantity: str, unit: str) -> Limit:
-        """Build the limits of a vector (3,) along the limited axes."""
+        """Build the limits of a vector (3,) along the limited axes.
+
+        `quantity` and `unit` are those of its components, such as "velocity" and "m/s".
+        """
         names = tuple(f"{quantity} along {axis}" for axis in "xyz")
         return drop_infinite(Limit(vector, *self.corners(), names, unit))

@@ -115,7 +115,8 @@ class RateBound(Bound):
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
         """Build mean rates between two instants, and their limits.
 
-        ``interval`` is the time between the instants [s].
+        ``interval`` is the time between the instants [s]. ``before`` and ``after`` are these
+        instants.
         """
         raise NotImplementedError
 
@@ -131,7 +132,8 @@ def drop_infinite(limit: Limit) -> Limit:
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
     """Broadcast a limit to an array (``count``,), one per member.
 
-    None becomes ``missing``. Raises TypeError, ValueError.
+    None becomes ``missing``. Raises TypeError, ValueError. ``field`` names the argument in
+    messages.
     """
     if value is None:
         return np.full(count, missing)

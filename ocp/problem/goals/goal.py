@@ -478,7 +478,8 @@ class Shape(Goal, kind="Shape"):
 def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
     """Check that node positions agree with bar lengths.
 
-    Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError.
+    Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError, whose message begins with
+    ``subject``.
     """
     lengths = distances(nodes, structure.bars)
     bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > RESOLUTION)

@@ -142,7 +142,10 @@ class AngularMomentum(Goal, kind="AngularMomentum"):
 
 
 def _rows(name: str, vector: Any, wanted: Sequence[float | None], scale: float) -> Rows:
-    """Build the scaled residuals [m/s] of a vector (3,), along the axes with a goal."""
+    """Build the scaled residuals [m/s] of a vector (3,).
+
+    There is one for each axis on which ``wanted`` has a goal. ``scale`` divides them.
+    """
     axes = [axis for axis in range(3) if wanted[axis] is not None]
     value = (vector[axes] - np.array([wanted[axis] for axis in axes])) / scale
     return Rows(value, tuple(name.format("xyz"[axis]) for axis in axes), ("m/s",) * len(axes))

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 def _read(field: str, given: Any, example: str) -> Any:
     """Read node positions or velocities from a mapping or array.
 
-    A mapping has three numbers or None for each of its nodes; an array is (n, 3).
+    A mapping has three numbers or None for each of its nodes; an array is (n, 3). ``example`` is
+    the cure in error messages.
     """
     if not isinstance(given, Mapping):
         return finite_array(field, given, (None, 3))
@@ -434,7 +435,8 @@ def _rows(
 ) -> Rows:
     """Build the residuals of prescribed coordinates or velocities of nodes.
 
-    ``columns`` (3×n) are the positions or velocities. Pinned axes have no residual.
+    ``columns`` (3×n) are the positions or velocities. Pinned axes have no residual. ``entries`` are
+    node, axis and value of each prescribed coordinate.
     """
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))

@@ -65,6 +65,7 @@ class VariableBounds:
         """Move slacks to the constraint values `true` within the bounds.
 
         Those that would come too close to a bound take the shortened step instead, see `cut`.
+        `most` and `least` are those of `cut`.
         """
         kept = [
             new >= (1 - most) * gap
@@ -94,7 +95,10 @@ class BoundDuals:
         return self.lower / low + self.upper / high
 
     def error(self, w: Array, mu: float) -> float:
-        """Compute the largest complementarity error at barrier parameter μ."""
+        """Compute the largest complementarity error at w.
+
+        It is |dual · distance − μ| at the barrier parameter μ (`mu`).
+        """
         low, high = self.bounds.gaps(w)
         below = (self.lower * low - mu)[self.bounds.below]
         above = (self.upper * high - mu)[self.bounds.above]
@@ -104,7 +108,8 @@ class BoundDuals:
         """Update the duals by Newton's method for a step of the variables.
 
         The variables change from `before` to `after`, with the Newton step `step`. The duals
-        decrease by at most the fraction `most`, and stay near μ / distance.
+        decrease by at most the fraction `most`, and stay near μ / distance. `mu` is the barrier
+        parameter μ.
         """
         spread, bounds = 100.0, self.bounds  # spread: largest factor away from μ over the distance
         ways = zip(
@@ -154,6 +159,9 @@ class WorkingSet:
 
 
 def select_stiffest(stiffness: Array, among: Booleans) -> Indices:
-    """Select the 400 constraints with the largest barrier curvature."""
+    """Select the 400 constraints with the largest barrier curvature.
+
+    `stiffness` (p,) are the curvatures; `among` marks the constraints that can be selected.
+    """
     rows = np.flatnonzero(among)
     return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

@@ -128,7 +128,10 @@ class CondensedProgram:
         return len(self.goal_rows if self.independent is None else self.independent)
 
     def keep_independent(self, expansion: Expansion) -> None:
-        """Drop combinations of goal constraints that u cannot change."""
+        """Drop combinations of goal constraints that u cannot change.
+
+        `expansion` has their derivatives.
+        """
         left, sizes, _ = np.linalg.svd(expansion.jacobian, full_matrices=False)
         kept = sizes > 1e-8 * sizes.max(initial=0.0)
         self.independent = None if kept.all() else left[:, kept].T
@@ -140,7 +143,10 @@ class CondensedProgram:
         return w
 
     def values(self, u: Array, s: Array) -> tuple[float, Array, Array, Array]:
-        """Evaluate the cost, goals, defects and path constraints."""
+        """Evaluate the cost, goals, defects and path constraints.
+
+        They are functions of the independent variables u and the dependent ones s.
+        """
         f, g = (one.ravel() for one in self._value(self.join(u, s)))
         goals, defects = (
             g[rows] - self.program.lower[rows] for rows in (self.goal_rows, self.defect_rows)
@@ -154,7 +160,10 @@ class CondensedProgram:
         return self._slope(self.join(u, s))[1].ravel()
 
     def hessian(self, u: Array, s: Array, duals: Array | None = None) -> SparseRows:
-        """Compute the Hessian of the Lagrangian in the order s, u."""
+        """Compute the Hessian of the Lagrangian in the order s, u.
+
+        `duals` are those of all constraints; None for the Hessian of the cost.
+        """
         weights = np.zeros(len(self.program.lower)) if duals is None else duals
         values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
         return self._second.at(values[self._symmetric])
@@ -196,7 +205,8 @@ class Expansion:
     def _reduce(self, by_s: Array, by_u: Array) -> Array:
         """Compute total derivatives (n, r) with respect to u.
 
-        They follow from the partial ones with respect to s and u; `by_s` is overwritten.
+        They follow from the partial ones with respect to s and u; `by_s` is overwritten. `by_s` has
+        a row for each entry of s, `by_u` (n, r) for each entry of u.
         """
         return by_u - self._by_u.transposed_times(self._of.elimination.solve_transposed(by_s))
 
@@ -225,7 +235,7 @@ class Expansion:
     def follow(self, step: Array | None, defects: Array | None) -> Array:
         """Compute the linearized change of s for a step of u.
 
-        It keeps the defects, or removes the given ones.
+        It keeps the defects, or removes the given ones. A step None keeps u.
         """
         push = np.zeros(len(self._s)) if step is None else -self._by_u.times(step)
         if defects is not None:
@@ -233,13 +243,16 @@ class Expansion:
         return self._of.elimination.solve(push[:, None])[:, 0]
 
     def change(self, moved: Array) -> Array:
-        """Compute the change (m,) of the goals for a change of s."""
+        """Compute the change (m,) of the goals for a change of s.
+
+        `moved` is the change of s.
+        """
         return self._goals[0].times(moved)
 
     def path_change(self, moved: Array, step: Array | None) -> Array:
         """Compute the change (p,) of path constraints along a step.
 
-        The step consists of the changes `moved` of s and `step` of u.
+        The step consists of the changes `moved` of s and `step` of u. A step None keeps u.
         """
         own = self._paths[0].times(moved)
         return own if step is None else own + self._paths[1].times(step)
@@ -247,7 +260,8 @@ class Expansion:
     def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
         """Set the duals and barrier curvatures that `curvature` uses.
 
-        The second derivatives of the path-constraint barriers are `stiffness` (p,).
+        The second derivatives of the path-constraint barriers are `stiffness` (p,). `goal_duals`
+        (m,) and `path_duals` (p,) are those of the constraints.
         """
         of = self._of
         pull = self._slope_s + self._goals[0].transposed_times(goal_duals)
@@ -354,7 +368,10 @@ def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
 
 
 def _numbers(index: Indices, size: int) -> Indices:
-    """Invert an index array; absent numbers become −1."""
+    """Invert an index array.
+
+    The result (size,) has the place of each number in `index`, −1 for absent numbers.
+    """
     result = np.full(size, -1, dtype=np.intp)
     result[index] = np.arange(len(index))
     return result

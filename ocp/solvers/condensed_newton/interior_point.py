@@ -232,7 +232,8 @@ class InteriorPoint:
     def _search(self, step: TrialStep, projector: Projector) -> tuple[Iterate, float] | None:
         """Find the first better iterate by backtracking along a step.
 
-        Also returns the fraction of the step.
+        `projector` is that of the step. Also returns the fraction of the step. Returns None if no
+        fraction is better.
         """
         of, point, share = self.of, self.point, 1.0
         slope = self.slope + self.mu * of.bounds.barrier_slope(point.u)
@@ -288,7 +289,10 @@ class InteriorPoint:
         return point.cost + self.mu * barriers
 
     def _accept(self, step: TrialStep, point: Iterate, share: float) -> None:
-        """Move to an iterate, and update trust region and funnel."""
+        """Move to an iterate, and update trust region and funnel.
+
+        `point` is the iterate after the fraction `share` of `step`.
+        """
         before, most = self.point, self._most()
         if share > 0.9:
             self.radius = max(self.radius, 3 * step.tangential)

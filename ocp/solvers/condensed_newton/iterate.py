@@ -35,7 +35,10 @@ class Iterate(NamedTuple):
 
 
 def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
-    """Evaluate cost and constraints at an iterate."""
+    """Evaluate cost and constraints at an iterate.
+
+    `u`, `s` and `slack` are its variables, see `Iterate`.
+    """
     cost, goals, defects, paths = of.values(u, s)
     left = Residual(goals, defects, paths - slack)
     total = sum(float(np.abs(one).sum()) for one in left)
@@ -46,7 +49,8 @@ def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
 def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
     """Compute the smallest step that removes the violations.
 
-    To first order, it satisfies goals, defects and the chosen path constraints.
+    To first order, it satisfies goals, defects and the chosen path constraints. `projector` holds
+    the gradients of these constraints. Returns a step of u.
     """
     drift = expansion.follow(None, point.left.defects)
     paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
@@ -64,8 +68,9 @@ def move(
 ) -> Iterate:
     """Apply a step of u, and the step of s that follows from it.
 
-    The step of u is shortened at its bounds, see `VariableBounds.cut`. It removes the fraction
-    `share` of the defects. Slacks change more slowly: otherwise they vanish before s has followed.
+    `expansion` has the derivatives that give the step of s. It removes the fraction `share` of the
+    defects. The step of u is shortened at its bounds by `most` and `least`, see
+    `VariableBounds.cut`. Slacks change more slowly: otherwise they vanish before s has followed.
     """
     left, bounds, slack = point.left, of.path_bounds, point.slack
     d = of.bounds.cut(point.u, step, most, least)
@@ -81,7 +86,8 @@ def move(
 def polish(of: CondensedProgram, point: Iterate, tolerance: float) -> Iterate:
     """Find the nearest iterate that satisfies all constraints.
 
-    Changes are measured relative to the distances from the bounds.
+    Changes are measured relative to the distances from the bounds. `tolerance` is the largest
+    permitted violation, scaled. If it is not reached, the result is the best iterate.
     """
     for _ in range(12):
         if not point.worst > tolerance:
@@ -119,7 +125,11 @@ def _improve(
     chosen: Indices,
     point: Iterate,
 ) -> Iterate | None:
-    """Try fractions of a step; return the first better iterate."""
+    """Try fractions of a step; return the first better iterate.
+
+    The step is that of `step_back`, which explains the arguments. Returns None if no fraction is
+    better.
+    """
     whole = step_back(expansion, projector, chosen, point)
     for share in (1.0, 0.5, 0.25, 0.1):
         tried = move(of, expansion, point, share * whole, share, 0.999, 0.0)

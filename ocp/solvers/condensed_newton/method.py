@@ -121,7 +121,10 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
             return self._finish(search, self._run(search, monitor))
 
     def _run(self, search: InteriorPoint, monitor: Monitor) -> str:
-        """Iterate until the end, and return the status."""
+        """Iterate until the end, and return the status.
+
+        `search` holds the iterate, which changes. The monitor can stop the iteration.
+        """
         while True:
             if status := search.check_end():
                 return status
@@ -138,7 +141,10 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
                 sys.stdout.write(search.describe() + "\n")
 
     def _finish(self, search: InteriorPoint, status: str) -> Solution:
-        """Build the solution that satisfies all constraints nearby."""
+        """Build the solution that satisfies all constraints nearby.
+
+        It is near the last iterate of `search`.
+        """
         of, point = search.of, polish(search.of, search.point, 1e-11)
         goal_duals, path_duals, bound_duals = search.prices
         expansion = Expansion(of, point.u, point.s)
@@ -155,7 +161,8 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     ) -> Solution:
         """Find the nearest point that satisfies shifted constraint bounds.
 
-        Near an optimum, its cost exceeds the minimum by a term of second order.
+        Near an optimum, its cost exceeds the minimum by a term of second order. `moved` is the
+        program with these bounds and the initial guess.
         """
         of.move_rows(moved)
         u, s = moved.first[of.u], moved.first[of.s]
