@@ -147,7 +147,7 @@ _SCRIPT = '''"""Predictive control problem for acados, written by tenscasadi.
     for stage, reference in enumerate(acados_mpc.references(time)):
         solver.cost_set(stage, "yref", reference)
         solver.set(stage, "p", [time + stage * acados_mpc.DATA["period"]])
-    force_densities = solver.solve_for_x0(state)  # N/m, until the next decision
+    control = solver.solve_for_x0(state)  # until the next decision
 
 acados_mpc.make_ocp requires acados and acados_template; everything else, CasADi and NumPy.
 """

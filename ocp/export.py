@@ -13,6 +13,7 @@ import numpy as np
 
 from ocp.control.mpc import Mpc
 from ocp.guess.initial_guess import InitialGuess
+from ocp.problem.control import control_unit
 from ocp.problem.problem import Problem
 from ocp.search.methods import program_of
 from ocp.transcription.base import Transcription
@@ -149,7 +150,7 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     -----
     The C function is `decide` (time, state, before) → after, status, see `Mpc.function`; with rate
     limits it has a fourth input. `before` is the result of the previous call, or `MPC_FIRST` in the
-    first one. It contains α × intervals numbers, interval by interval. Apply the first α numbers of
+    first one. It contains nu × intervals numbers, interval by interval. Apply the first nu numbers of
     `after`, which are within the limits of the control also if status is 1. mpc.h has the sizes,
     the sampling period, and `MPC_FIRST`.
 
@@ -168,9 +169,10 @@ def export_mpc(mpc: Mpc, folder: str | Path) -> list[Path]:
     """
     instance("mpc", mpc, Mpc, "an ocp.Mpc")
     first = ", ".join(repr(float(value)) for value in mpc.first.T.ravel())
+    unit = control_unit(mpc.model)
     lines = [
-        "decide (time s, state, before N/m) -> after N/m, status: apply the first MPC_STRINGS of "
-        "after for MPC_PERIOD s, then give after as the next before.",
+        f"decide (time s, state, before {unit}) -> after {unit}, status: apply the first "
+        "MPC_STRINGS of after for MPC_PERIOD s, then give after as the next before.",
         "status: 0, or 1 if no solution was found, as for a state that is NAN.",
         "State: free coordinates of the nodes, node by node, then their velocities. "
         "MPC_FIRST is the first before.",

@@ -20,10 +20,11 @@ import tenscasadi
 pytestmark = pytest.mark.slow  # builds both files, installs them
 
 ROOT = Path(__file__).resolve().parents[1]
-HEADERS = {
+DATA = {
     path.relative_to(ROOT).as_posix()
-    for ending in ("hpp", "toml")
-    for path in (ROOT / "tenscasadi").rglob(f"*.{ending}")
+    for package in ("tenscasadi", "ocp")
+    for ending in ("hpp", "toml", "c")
+    for path in (ROOT / package).rglob(f"*.{ending}")
 }
 FILES = sorted(
     path.relative_to(ROOT)
@@ -112,7 +113,7 @@ def packed(sdist: Path) -> dict[str, int]:
 def test_the_wheel_holds_every_module_and_the_marks_of_types(release: Release) -> None:
     data = {name for name in held(release.wheel) if not name.endswith(".py")}
     assert held(release.wheel) - data == {path.as_posix() for path in FILES}
-    assert data == HEADERS | MARKS
+    assert data == DATA | MARKS
 
 
 def test_the_sdist_holds_what_it_is_built_and_tested_from_and_nothing_large(
@@ -130,9 +131,7 @@ def test_the_sdist_holds_what_it_is_built_and_tested_from_and_nothing_large(
         for end in ends
         for path in (ROOT / folder).rglob(f"*.{end}")
     }
-    assert (
-        set(files) >= {path.as_posix() for path in FILES} | HEADERS | MARKS | set(BESIDE) | beside
-    )
+    assert set(files) >= {path.as_posix() for path in FILES} | DATA | MARKS | set(BESIDE) | beside
     assert not [
         name
         for name in files

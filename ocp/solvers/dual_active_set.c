@@ -134,8 +134,8 @@
         ADD_PRODUCT(over, +, (a + (m - 2 * size) * n), x, n)
       }
       tolerance = 1e-9 * tolerance + 1e-100;
-      if (over <= worst * tolerance) continue; /* false for NaN */
-      worst = over / tolerance;
+      if (over <= worst * tolerance && over < infinity) continue; /* false for NaN */
+      worst = over < infinity ? over / tolerance : infinity;
       excess = over;
       chosen = m;
     }

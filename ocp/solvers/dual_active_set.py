@@ -79,8 +79,13 @@ class HorizonProgram(NamedTuple):
         n, size = self.intervals * self.controls, self._size
         names, sparsities = self._signature()
         symbols = [ca.MX.sym(name, one) for name, one in zip(names, sparsities, strict=True)]
-        blocks = symbols[: self.intervals]
-        residual, weights, offset, a, b, low, high = symbols[self.intervals :]
+        # the virtual machine raises errors for NaN
+        given = ca.logic_and(
+            is_finite(ca.veccat(*symbols[:-2])), ca.mmin(symbols[-2] <= symbols[-1])
+        )
+        terms = [ca.if_else(given, one, ca.DM.ones(one.shape)) for one in symbols]
+        blocks = terms[: self.intervals]
+        residual, weights, offset, a, b, low, high = terms[self.intervals :]
         G = ca.vertcat(
             *(ca.horzcat(block.T, ca.DM(self.outputs, n - block.shape[0])) for block in blocks)
         )
@@ -96,9 +101,8 @@ class HorizonProgram(NamedTuple):
         shapes = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(self.rows, size)}
         solver = ca.conic("qp", "daqp", shapes, {"error_on_fail": False})
         x = solver(h=ca.densify(H), g=g, a=rows, lba=-ca.inf, uba=b, lbx=low, ubx=high)["x"][:n]
-        return ca.Function(
-            "solve_qp", symbols, [x, ca.logic_not(is_finite(x))], names, ["change", "status"]
-        )
+        failed = ca.logic_not(ca.logic_and(given, is_finite(x)))
+        return ca.Function("solve_qp", symbols, [x, failed], names, ["change", "status"])
 
     @property
     def _size(self) -> int:

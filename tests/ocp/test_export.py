@@ -209,8 +209,15 @@ def test_an_exported_controller_reports_failures_and_obeys_limits(tmp_path):
     decide = reader(built(tmp_path, "mpc"), 4 * MODEL.nu)
     for state, expected in ((MODEL.initial_state, 0), (MODEL.initial_state * np.nan, 1)):
         after, status = decide(0.0, state, mpc.first.T)
-        assert status == expected
+        assert (status, float(mpc.function()(0.0, state, mpc.first)[1])) == (expected, expected)
         assert np.all((after >= 1.0) & (after <= 50.0))
+
+
+def test_the_header_has_the_unit_of_the_control(tmp_path):
+    model = tc.Model(tc.Scene(ARM, control=tc.Tension()))
+    task = ocp.Problem(model, goals=[ocp.AtRest()], bounds=[ocp.TensionLimits(1.0, 50.0)])
+    ocp.export_mpc(ocp.Mpc(task, 0.1, 2), tmp_path)
+    assert "before N) -> after N, status" in (tmp_path / "mpc.h").read_text(encoding="utf-8")
 
 
 def test_the_first_decision_is_that_of_the_reference():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ocp.solvers.dual_active_set import HorizonProgram
+from ocp.solvers.dual_active_set import HorizonProgram, name_inputs
 from tenscasadi.util.compile import find_compiler
 
 pytestmark = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
@@ -72,8 +72,17 @@ def test_controls_without_room_stay():
     assert status == 0
 
 
+@pytest.mark.parametrize("solver", [COMPILED, DAQP], ids=["compiled", "DAQP"])
 @pytest.mark.parametrize("number", range(len(draw(0))))
-def test_nan_is_a_status(number):
+def test_nan_is_a_status(number, solver):
     inputs = draw(3)
     inputs[number].flat[0] = np.nan
-    assert solve(inputs)[1] == 1
+    assert solve(inputs, solver)[1] == 1
+
+
+@pytest.mark.parametrize("solver", [COMPILED, DAQP], ids=["compiled", "DAQP"])
+@pytest.mark.parametrize("name", ["residual", "weights", "offset", "b"])
+def test_infinity_is_a_status(name, solver):
+    inputs = draw(3)
+    inputs[name_inputs(SIZES.intervals).index(name)][:] = -np.inf
+    assert solve(inputs, solver)[1] == 1
