@@ -168,8 +168,9 @@ def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
 def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: int) -> ca.Function:
     """Build drift, kick and drift as Function (z, u, h) → z_next.
 
-    The `kick` is the Runge-Kutta method for the velocities and internal states. Constraints are solved by `iterations`
-    Newton iterations. With a Function `power`, z has one more entry, its integral.
+    The `kick` is the Runge-Kutta method for the velocities and internal states. Constraints are
+    solved by `iterations` Newton iterations. With a Function `power`, z has one more entry, its
+    integral.
     """
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")

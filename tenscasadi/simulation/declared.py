@@ -232,7 +232,10 @@ class Simulation:
         )
 
     def _rows(self, name: str) -> Array:
-        """Read positions or velocities of all nodes."""
+        """Read positions or velocities of all nodes.
+
+        `name` is "positions" or "velocities".
+        """
         rows = finite_array(f"Simulation.{name}", getattr(self, name), (None, 3))
         counts = {len(self.scene.structure.nodes), len(self.scene.modelled.nodes)}
         if len(rows) not in counts:

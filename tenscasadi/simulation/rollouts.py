@@ -148,7 +148,10 @@ def rollouts(  # noqa: PLR0913  the options of a batch
 
 
 def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
-    """Convert computed runs to rollouts with acceptance tests."""
+    """Convert computed runs to rollouts with acceptance tests.
+
+    With `verify`, runs are repeated with other steps to estimate the error.
+    """
     request, rolled = runs.request, runs.rolled
     grid, steps = request.inputs.grid, request.inputs.grid.steps
     saved = np.append(np.arange(0, steps, request.every), steps)

@@ -256,7 +256,9 @@ def _prepare_pass(
 ) -> tuple[PassSetup, ca.Function]:
     """Prepare a run's derivatives, and the output function.
 
-    The output includes a control that is a function of time.
+    `observed` is the output, a Function (x, w). If `over` is "run", it is integrated over time. The
+    derivatives are with respect to the initial state, the control or the parameters: `by` is
+    "state", "control" or "parameters". The output includes a control that is a function of time.
     """
     inputs = read_inputs(
         model,
@@ -475,7 +477,8 @@ def _loop(
     """Build the Function of a tangent or adjoint pass.
 
     With `forward`, it is a tangent pass. It propagates `width` directions at a time. The model
-    caches the Function. Also returns whether it is machine code, and the reason if not.
+    caches the Function. Also returns whether it is machine code, and the reason if it should be but
+    is not, else "".
     """
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)

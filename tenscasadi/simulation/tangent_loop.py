@@ -158,7 +158,10 @@ def _build_correction(steps: TangentSteps) -> ca.Function | None:
 def _push_tangents(
     function: ca.Function, inputs: list[Any], tangents: list[Any]
 ) -> tuple[Any, Any]:
-    """Build a Function's value and the tangents of its result."""
+    """Build a Function's value and the tangents of its result.
+
+    `tangents` are those of the `inputs`, one matrix for each, with a column for each direction.
+    """
     value = function(*inputs)
     return value, function.forward(tangents[0].shape[1])(*inputs, value, *tangents)
 
@@ -166,7 +169,8 @@ def _push_tangents(
 def _variational(steps: TangentSteps, width: int, held: bool) -> ca.Function:
     """Build the variational equation of the right-hand side.
 
-    Function (y, v) → ẏ, see `tangent_function`.
+    It has `width` tangents. With `held`, the inputs have none. Function (y, v) → ẏ, see
+    `tangent_function`.
     """
     ode, nz, nw = equations(steps.model, steps.running), steps.size, steps.model.nw
     with contextlib.suppress(RuntimeError):  # an output that needs MX

@@ -85,7 +85,9 @@ def _chunk(task: PassSetup, number: int) -> _Chunk:
 def run_forward(task: PassSetup, tangent: ArrayFunction, width: int, by_z: Array) -> PassResult:
     """Propagate tangents of the inputs forward, `width` at a time.
 
-    Each starts with the chunk of steps where its input begins to act.
+    `tangent` is the Function of `tangent_function` for a chunk of steps. `by_z` (outputs, nz) is
+    the Jacobian of the outputs with respect to the final z. Each tangent starts with the chunk of
+    steps where its input begins to act.
     """
     nz, columns = task.steps.size, int(np.prod(task.shape))
     jacobian, found = np.zeros((len(by_z), columns)), PassResult(np.zeros(0), 0.0, 0.0)
@@ -134,7 +136,8 @@ def run_adjoint(task: PassSetup, gradient: ArrayFunction, width: int, by_z: Arra
 def _with_tangents(task: PassSetup, chunk: _Chunk, inputs: Indices, width: int) -> Array:
     """Append tangents to the inputs w of a chunk of steps.
 
-    The result is (CHUNK, ·). A tangent is 1 in the entry of its input during its interval.
+    `inputs` (at most `width`) number the pairs of an interval and an entry of w. The result is
+    (CHUNK, ·). A tangent is 1 in the entry of its input during its interval.
     """
     if task.entries is None:
         return chunk.w
@@ -148,7 +151,8 @@ def _with_tangents(task: PassSetup, chunk: _Chunk, inputs: Indices, width: int) 
 def _follow(task: PassSetup, number: int, end: Array, found: PassResult) -> PassResult:
     """Add the integral of a chunk of steps, and compare its final state.
 
-    The comparison is with the final state in the run.
+    `number` is that of the chunk, `end` its final z as the pass computes it, and `found` the result
+    so far. The comparison is with the final state in the run.
     """
     nx = task.steps.model.nx
     apart = float(np.abs(end[:nx] - task.states[number + 1]).max(initial=0.0))

@@ -113,8 +113,8 @@ class Interpreted:
     def evaluate(self, name: str, *inputs: Array, steps: int = 1) -> list[Array]:
         """Evaluate a Function for each row of its inputs (n, size).
 
-        With several `steps`, the first input is a start value of a recursion, and rows belong to
-        steps.
+        `name` is that of the Function, see `has`. With several `steps`, the first input is a start
+        value of a recursion, and rows belong to steps.
         """
         key = name, len(inputs[-1]), steps
         if key not in self._mapped:
@@ -146,7 +146,8 @@ class Interpreted:
     def _control_error(self, loop: Loop, length: float) -> int:
         """Take steps with error control up to the next output time.
 
-        A failure leaves z at the last output time.
+        It is `length` seconds away. A failure leaves z at the last output time. Returns the code of
+        the failure.
         """
         q, z, memory = loop.q, loop.z, loop.memory
         memory[0, _REST] = length
@@ -246,7 +247,10 @@ class Loop:
         return 1 if alone else max(1, q["intervals"])
 
     def _march(self, first: int, last: int) -> None:
-        """Take the steps of consecutive intervals; the inputs are those of the first."""
+        """Take the steps of intervals `first` to `last` − 1.
+
+        The inputs are those of the first interval if there is only one.
+        """
         q, done = self.q, 0
         interval = np.repeat(np.arange(first, last), q["count"][first:last])
         length, row = q["length"][interval], q["row"][interval]
@@ -274,7 +278,11 @@ class Loop:
             self.w, self.jumped = w[done - 1], before.jumped[-1]
 
     def _account_jumps(self, z: Array, w: Array, changed: Any) -> Array:
-        """Add up the energy of jumps of the inputs before k steps (k, n) [J]."""
+        """Sum the energy of jumps of the inputs before k steps (k, n) [J].
+
+        z (k, n, nz) are the states and w (k, n, nw) the inputs of the steps. `changed` (k,) marks
+        the steps at which the inputs jump.
+        """
         supplied = np.zeros(z.shape[:2])
         if self.backend.has("energy") and changed.any():
             x = self._x(z[changed].reshape(-1, z.shape[2]))
@@ -454,7 +462,10 @@ class Loop:
         return np.asarray(measure[..., 2 : 5 if self.sizes["potential"] else 3].sum(axis=-1))
 
     def _supplied(self, before: Before) -> Array:
-        """Compute the external work (…, n) [J]."""
+        """Compute the external work (…, n) [J].
+
+        It has reached the states `before` the steps.
+        """
         nx, jumped = self.sizes["nx"], before.jumped
         return jumped + before.z[..., nx] if self.sizes["work"] else jumped
 

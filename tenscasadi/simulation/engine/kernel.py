@@ -412,7 +412,7 @@ class _March:
     def _finish(self, first: int, last: int, step: int) -> None:
         """Save the states of stopped runs.
 
-        They have taken `step` steps.
+        They are the runs `first` to `last` − 1, and have taken `step` steps.
         """
         values = self._work.values
         alive = np.flatnonzero(values["status"][first:last] == FINISHED) + first
@@ -428,7 +428,10 @@ class _March:
 
 
 def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
-    """Select the part of the arrays for a range of steps."""
+    """Select the part of the arrays for a range of steps.
+
+    `steps` are its first step and its end.
+    """
     values, whole = work.values, work.intervals
     part = whole if steps[1] - steps[0] == whole.steps.sum() else whole.slice(*steps)
     given = values | {
@@ -449,7 +452,8 @@ def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
 def _wait(work: list[Future[None]], values: Mapping[str, Any]) -> None:
     """Wait for threads, and stop them at the deadline.
 
-    After an exception they are stopped before their arrays are freed.
+    `work` are their results to come, and `values` the arrays that they use. After an exception they
+    are stopped before their arrays are freed.
     """
     try:
         while wait(work, timeout=SLICE).not_done:

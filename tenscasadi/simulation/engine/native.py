@@ -174,7 +174,8 @@ class Compilation:
 def compile_first(codes: list[NativeCode], build: bool = True) -> tuple[Native | None, str]:
     """Compile the first code that the compiler accepts.
 
-    Returns the backend, and the reason if a code failed.
+    Unless `build`, code is only loaded from the cache. Returns the backend, None if all codes
+    failed, and the reason if a code failed, else "".
     """
     note = ""
     for code in codes:

@@ -104,7 +104,8 @@ class Rolled(NamedTuple):
 def count_runs(joiner: str = ", ", /, **rows: int) -> int:
     """Find the number of runs from the row counts of arrays.
 
-    All runs share an array with one row. Raises ValueError.
+    All runs share an array with one row. The message joins the names of arrays by `joiner`. Raises
+    ValueError.
     """
     several = {name: count for name, count in rows.items() if count != 1}
     if len(set(several.values())) > 1:

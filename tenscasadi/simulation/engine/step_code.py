@@ -204,7 +204,8 @@ def _tableau(scheme: Scheme) -> Tableau | None:
 def _measure(observe: ca.Function, everything: bool) -> ca.Function:
     """Build (x, w) → constraint errors and energies.
 
-    With `everything`, force densities and tensions follow.
+    `observe` is a Function whose outputs contain them by name. With `everything`, force densities
+    and tensions follow.
     """
     kind = symbol_kind(observe)
     x, w = kind.sym("x", observe.size1_in(0)), kind.sym("w", observe.size1_in(1))
@@ -217,7 +218,8 @@ def _measure(observe: ca.Function, everything: bool) -> ca.Function:
 def _widen(function: ca.Function, own: int, nw: int) -> ca.Function:
     """Extend the input w of a Function to `nw` entries.
 
-    The Function ignores the new entries.
+    It has had `own` entries. The Function ignores the new ones. Functions without such an input are
+    returned unchanged.
     """
     if function.n_in() < 2 or function.size1_in(1) != own:
         return function
@@ -232,7 +234,8 @@ def _widen(function: ca.Function, own: int, nw: int) -> ca.Function:
 def _rename(name: str, function: ca.Function) -> ca.Function:
     """Rename a Function, and make its outputs dense.
 
-    Its graph is inlined if possible, since a nested call would copy the outputs.
+    The new name is "motion_" and `name`. The graph is inlined if possible, since a nested call
+    would copy the outputs.
     """
     scalar = function.is_a("SXFunction")
     inputs: Any = function.sx_in() if scalar else function.mx_in()
@@ -323,8 +326,9 @@ _SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) retu
 def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
     """Write C++ code for the stages of a Runge-Kutta step.
 
-    Each takes one pass over the state; CasADi would take one for each term. Rounding is that of
-    `runge_kutta.build_step`.
+    `stages` are the numbers of those that affect the result. `held` is the C++ expression of the
+    inputs, and `end` the last line. Each stage takes one pass over the state; CasADi would take one
+    for each term. Rounding is that of `runge_kutta.build_step`.
     """
     lines = [
         "  const int64_t n = MODEL.nx + MODEL.work;",

@@ -110,7 +110,10 @@ class SundialsRuns(Interpreted):
         return StepRows(rows[:, None])
 
     def _take(self, z: Array, w: Array, length: float, count: int) -> Array:
-        """Compute z = (state, work) after each of the next steps (count, nz)."""
+        """Compute z = (state, work) after each of the next steps (count, nz).
+
+        They start at z, have equal `length` [s] and the input w (nw,).
+        """
         if self._events is not None:
             return self._events(z, w, np.full(count, length))
         if count == 1:
@@ -124,9 +127,10 @@ class SundialsRuns(Interpreted):
         return np.array(self._integrators[key](x0=z, u=held, **guess)["xf"].full()).T
 
     def _correct(self, rows: Array, w: Array, which: Any) -> None:
-        """Project states (k, nz) onto the constraints, in place.
+        """Project states onto the constraints, in place.
 
-        `which` (k,) marks the states to project.
+        The states are the first entries of `rows` (k, nz), with the input w (nw,). `which` (k,)
+        marks those to project.
         """
         if self._project is not None and which.any():
             held = np.tile(w[:, None], int(which.sum()))

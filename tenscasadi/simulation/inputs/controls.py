@@ -136,7 +136,8 @@ def read_controls(
 def drive_model(model: Model, control: Any, first: float, t_end: float) -> Model:
     """Build the model in which a control is a function of time.
 
-    The model caches it. `first` is the time of its clock at the start [s]. Raises ValueError.
+    The model caches it. `first` is the time of its clock at the start, and `t_end` the duration of
+    the run [s]. Raises ValueError.
     """
     if not isinstance(control, ControlFunction):
         control = ControlFunction(control)
@@ -152,7 +153,10 @@ def drive_model(model: Model, control: Any, first: float, t_end: float) -> Model
 
 
 def _find_initial(model: Model, p: Array) -> Array:
-    """Compute the model's initial controls (n or 1, nu)."""
+    """Compute the model's initial controls (n or 1, nu).
+
+    p (n or 1, np) are the parameters of the runs.
+    """
     controls = np.array([model.control_at(row) for row in p]).reshape(len(p), model.nu)
     return controls[:1] if len(controls) and not np.ptp(controls, axis=0).any() else controls
 
@@ -160,7 +164,8 @@ def _find_initial(model: Model, p: Array) -> Array:
 def _read_table(controls: Any, nu: int, field: str, shapes: Sequence[str]) -> tuple[Array, str]:
     """Read a table of controls (n or 1, K, nu).
 
-    Also returns the letters that name the axes of its original shape.
+    `shapes` are the permitted shapes by their letters, such as "nKu", from one axis to most.
+    Messages name `field`. Also returns the letters that name the axes of its original shape.
     """
     try:
         shape = np.shape(controls)

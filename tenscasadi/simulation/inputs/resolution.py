@@ -60,7 +60,10 @@ def describe_unresolved(
 
 
 def _refine(ends: Array, step: float) -> Array:
-    """Divide intervals longer than `step` s."""
+    """Divide intervals longer than `step` seconds.
+
+    `ends` are the increasing ends of the intervals [s]. The result contains them.
+    """
     parts = np.maximum(1, np.ceil(np.diff(ends) / step - 1e-9)).astype(int)
     owner = np.repeat(np.arange(len(parts)), parts)
     share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[owner]
@@ -72,7 +75,9 @@ def _compare_quadratures(
 ) -> tuple[Array, float]:
     """Compare coarse and fine quadratures of an output over K steps.
 
-    Returns the differences (K,) and the integral of its absolute value.
+    `output` is its number in the Function of time, and `ends` (K + 1,) are the ends of the steps
+    [s]. The coarse quadrature is exact for the given `order` of an integration scheme. Returns the
+    differences (K,) and the integral of its absolute value.
     """
     points, weights = np.polynomial.legendre.leggauss(8)
     divisions = -(-2048 // (len(ends) - 1))  # at least 2048 parts in all

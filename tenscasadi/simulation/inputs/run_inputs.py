@@ -219,7 +219,10 @@ def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
 
 
 def _stack_rows(rows: list[Array], size: int) -> Array:
-    """Stack arrays as rows; one row if all are the same object."""
+    """Stack arrays as rows; one row if all are the same object.
+
+    Rows have `size` entries.
+    """
     kept = rows[:1] if all(row is rows[0] for row in rows) else rows
     return np.array(kept).reshape(len(kept), size)
 
@@ -253,6 +256,7 @@ def _read_parameters(model: Model, given: Any) -> Array:
 def _check_clock(field: str, latest: float, step: float) -> None:
     """Check that the clock resolves the steps.
 
+    `latest` is the largest magnitude of its time, and `step` the step [s]. Messages name `field`.
     Raises ValueError if rounding errors dominate.
     """
     if np.spacing(latest) > 1e-6 * step:

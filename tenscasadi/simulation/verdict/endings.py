@@ -182,8 +182,8 @@ def find_stable_step(
 ) -> tuple[float, float]:
     """Find the smallest stability limit of the step along a run [s].
 
-    Also returns its time [s]. Samples after the first one with a limit below `step` are not
-    examined.
+    `samples` are states and inputs of the run. Also returns the time of this limit [s]. Samples
+    after the first one with a limit below `step` are not examined.
     """
     limits: list[float] = []
     for x, w in zip(samples.states, samples.inputs, strict=True):
@@ -196,7 +196,10 @@ def find_stable_step(
 
 
 def describe_limit(scheme: Scheme, step: float, limit: float, when: float) -> str:
-    """Describe a step above the stability limit."""
+    """Describe a step above the stability limit.
+
+    `limit` [s] is that of the scheme at the time `when` [s].
+    """
     return (
         f"the step {step:g} s is above the stability limit {limit:.3g} s of {type(scheme).__name__} "
         f"at t = {when:g} s"

@@ -195,7 +195,8 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
     """Estimate the energy error due to rounding [J].
 
     It is a fraction of `size`, the magnitude of the energies [J], and of the kinetic energy of a
-    motion that covers the extent of the structure during the run.
+    motion that covers the extent of the structure in the duration `t_end` [s]. The fraction is
+    larger in single precision.
     """
     s = model.structure
     crossing = total_mass(s) * (extent(model) / (t_end or np.inf)) ** 2
@@ -224,10 +225,11 @@ def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
 
 
 def _explain_error(runs: Runs, k: int, error: float, factor: float, finer: float) -> str:
-    """Find the cause and the cure of a step-size error [m].
+    """Find the cause and the cure of a step-size error.
 
-    The cure is a smaller step or tolerance. Half the step reduces the error by `factor`, and steps
-    `finer` times as fine are sufficient.
+    The run has the index k and the position `error` [m]. The cure is a smaller step or tolerance.
+    Half the step length divides the error by `factor`. Steps shorter by the factor `finer` are
+    sufficient.
     """
     scheme, model = runs.request.scheme, runs.request.inputs.model
     if scheme.adaptive:

@@ -41,7 +41,10 @@ def start_violation(model: Model) -> ca.Function:
 
 
 def start_violations(model: Model, starts: Array) -> Array:
-    """Compute the relative constraint violations (n,) of states (n, nx)."""
+    """Compute the relative constraint violations of initial states.
+
+    `starts` are the states (n, nx), the result is (n,).
+    """
     if not len(starts):
         return np.zeros(0)
     function = model.keep(

@@ -65,10 +65,11 @@ def estimate_errors(runs: Runs) -> StepErrors:
 
 
 def _from_steps(again: _Repetition, least: Array) -> tuple[Array, Array]:
-    """Estimate errors and factors (m,) from runs with other steps.
+    """Estimate errors [m] and factors (m,) from runs with other steps.
 
-    With an error e ∝ step^q, the distances to 4 h, 2 h and h/2 are (4^q − 1) e, (2^q − 1) e and
-    (1 − 2^−q) e.
+    A factor is the ratio by which half the step length reduces the error. With an error e ∝ step^q,
+    the distances to 4 h, 2 h and h/2 are (4^q − 1) e, (2^q − 1) e and (1 − 2^−q) e. Errors above a
+    multiple of `least` (m,) [m] are computed again with h/2.
     """
     double = again.compare_steps(2.0)
     factor = _clip_factor(_ratio(again.compare_steps(4.0), double) - 1, again.order)
@@ -83,9 +84,10 @@ def _from_steps(again: _Repetition, least: Array) -> tuple[Array, Array]:
 
 
 def _from_tolerances(again: _Repetition, least: Array) -> tuple[Array, Array]:
-    """Estimate errors and factors (m,) from runs with other tolerances.
+    """Estimate errors [m] and factors (m,) from runs with other tolerances.
 
-    If another tolerance does not change a run, its output times determine the steps.
+    Errors above a multiple of `least` (m,) [m] are computed again with a smaller tolerance. If
+    another tolerance does not change a run, its output times determine the steps.
     """
     looser = 10.0
     largest = _largest(again.compare_tolerance(looser))
@@ -173,9 +175,10 @@ class _Repetition:
         return chosen
 
     def compare_steps(self, factor: float) -> Array:
-        """Compute largest nodal displacements (m, T) [m] from runs of another step.
+        """Compute displacements (m, T) [m] from runs of another step.
 
-        They are NaN at rows without a common time, and inf if a run has diverged.
+        They are the largest ones of a node. The other step is `factor` times the run's step. They
+        are NaN at rows without a common time, and inf if a run has diverged.
         """
         request, nq = self._runs.request, self._places.shape[2]
         if self._compared is not None and factor > 1:
@@ -192,7 +195,11 @@ class _Repetition:
         )
 
     def compare_tolerance(self, factor: float) -> Array:
-        """Compute largest nodal displacements (m, T) [m] from runs of another tolerance."""
+        """Compute displacements (m, T) [m] from runs of another tolerance.
+
+        They are the largest ones of a node. The other tolerance is `factor` times the run's
+        tolerance.
+        """
         scheme: Any = self._runs.request.scheme
         rtol = float(np.clip(factor * scheme.rtol, 1e-15, 0.5))
         atol = None if scheme.atol is None else factor * scheme.atol
