@@ -159,7 +159,7 @@ def _turn_nodes(
     """Yield paths with large rotations of the structure or bars.
 
     They lead from the state `start` (nx,) to `end` (nx,) in `duration` s. Each path has the nodes
-    (K + 1, n, 3) [m] at equal time intervals.
+    (K + 1, n, 3) [m] at equal time intervals. `quintic` interpolates along the path.
     """
     (first, v0), (last, v1) = (
         (model.nodes(state), duration * model.velocities(state)) for state in (start, end)
@@ -194,7 +194,8 @@ def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
     """List candidate rotation vectors from first to last nodes.
 
     Nodes are (n, 3) [m]. The candidates are the zero vector and two others. The best-fit rotation
-    may have one turn less or more; the two are those nearest to the mean angular velocity.
+    may have one turn less or more; the two are those nearest to the mean angular velocity. `v0` and
+    `v1` (n, 3) are the velocities at both ends, per duration.
     """
     turn = Rotation.from_matrix(fit_rotation(first, last)).as_rotvec()
     angle = np.linalg.norm(turn)

@@ -76,7 +76,8 @@ def _build_constraints(
 ) -> Iterator[tuple[int, PathConstraint]]:
     """Yield path constraints with the index of their bound.
 
-    Limits of the control itself are omitted, as they are bounds on decision variables.
+    Limits of the control itself are omitted, as they are bounds on decision variables. `kind` is
+    the class of the bounds. `implied` selects the weaker constraints of `PathBound.imply`.
     """
     model = problem.model
     control = control_limits(model)
@@ -165,8 +166,8 @@ def scaled_rows(
 def _scale(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRows:
     """Scale a path constraint to order one.
 
-    Scales follow from the unit. User-defined expressions have no unit, and are scaled by their
-    limits.
+    `limited` is the constraint, and `strength` a typical force density [N/m]. Scales follow from
+    the unit. User-defined expressions have no unit, and are scaled by their limits.
     """
     sizes = {
         "N": strength * scales.length,

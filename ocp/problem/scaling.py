@@ -103,7 +103,7 @@ def control_scale(problem: Problem, strength: float) -> Array:
 def scale_control(model: Model, strength: float, duration: float) -> Array:
     """Compute the scale (nu,) of control changes in a duration.
 
-    See `control_scale`.
+    `strength` is a typical force density [N/m], `duration` is in seconds. See `control_scale`.
     """
     structure = model.scene.structure
     if controls_force_densities(model):
@@ -125,7 +125,7 @@ def scale_deviations(model: Model, strength: float, speed: float) -> Array:
     """Compute the scale (nu,) of control deviations in feedback controllers.
 
     It is that of `scale_control`. For rest-length rates, it is the scale `speed` of velocities
-    [m/s].
+    [m/s]. `strength` is a typical force density [N/m].
     """
     if isinstance(model.scene.control, RestLengthRate):
         return np.full(model.nu, speed)

@@ -130,7 +130,11 @@ class Tracking(RunningCost, kind="Tracking"):
 
 
 def _moving(field: str, place: Callable[[Any], Any], time: Any) -> tuple[Any, ...]:
-    """Evaluate a time-dependent reference position at a symbolic time."""
+    """Evaluate a time-dependent reference position at a symbolic time.
+
+    `place` is the user's function of the time, and `field` its name in messages. Raises TypeError,
+    ValueError.
+    """
 
     def read(field: str, entry: Any) -> Any:
         if not isinstance(entry, (ca.SX, ca.MX)):

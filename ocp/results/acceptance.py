@@ -120,7 +120,8 @@ class _Verified(NamedTuple):
     def describe(self, name: str, success: bool) -> str:
         """Describe the final errors of the replay for a message.
 
-        `name` is the kind of replay, such as "replay".
+        `name` is the kind of replay, such as "replay". Without `success`, the text adds the goal
+        with the largest residual.
         """
         if np.isnan(self.position):
             return self.note

@@ -172,7 +172,8 @@ def build_rate_cost(
     """Build the Function (x, u, x⁺, u⁺) → penalty of rate limits.
 
     The arguments are state and control in successive periods. `strength` is a typical force density
-    [N/m]. Returns None without rate limits.
+    [N/m]. Returns None without rate limits. `period` is the length of each of the `intervals`
+    periods [s].
     """
     limits = scaled_rows(problem, RateBound, scales, strength)
     symbols = [

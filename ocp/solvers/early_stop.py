@@ -17,6 +17,7 @@ def stop_early(
     """Build the result of an attempt without solution.
 
     It is the initial guess. Without one, it is the initial state under the nominal control.
+    `status` is the reason of the stop.
     """
     name = "guess" if guess is not None else "start"
     if guess is None:

@@ -48,7 +48,10 @@ class QuadraticRows(NamedTuple):
     value: Array
 
     def select(self, kept: Indices) -> QuadraticRows:
-        """Select some of the residuals."""
+        """Select some of the residuals.
+
+        `kept` are their indices.
+        """
         place = np.full(len(self.c), -1)
         place[kept] = np.arange(len(kept))
         own = place[self.row] >= 0
@@ -99,7 +102,8 @@ def prove_infeasible(
     """Prove that no state satisfies all constraints.
 
     Returns None if the proof fails. The search for multipliers starts at the scaled state z (n,),
-    whose entries are within a box (2, n). Residuals below the tolerance count as zero.
+    whose entries are within a box (2, n). Residuals below the tolerance count as zero. `rows` are
+    the residuals of these constraints.
     """
     linear = rows.select(np.flatnonzero(rows.affine))
     known = solve_affine(linear, box)

@@ -113,7 +113,8 @@ class GaussNewton:
     def _steps(self, rows: RowFunction, y: Array, *rank_tolerances: float) -> Iterator[Array]:
         """Yield the Gauss-Newton step −J⁺ r for each rank tolerance.
 
-        It is in scaled unknowns. Singular values of J below the tolerance are omitted.
+        It is in scaled unknowns. Singular values of J below the tolerance are omitted. Tolerances
+        are relative to the largest singular value.
         """
         r, J = rows(y)
         inverse = self._pseudoinverse(J)

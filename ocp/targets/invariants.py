@@ -160,7 +160,8 @@ class Body:
 def bodies(structure: Structure, gravity: Array) -> list[Body]:
     """Find the parts of the structure that members connect.
 
-    Members that meet in a pinned node are not connected there.
+    Members that meet in a pinned node are not connected there. `gravity` (3,) [m/s²] decides which
+    rotations conserve momentum.
     """
     pinned: Booleans = np.asarray(structure.fixed.all(axis=1), dtype=bool).reshape(-1)
     pairs = connected_pairs(structure)
@@ -233,7 +234,8 @@ def _momentum_rows(
     """Build residuals of linear and angular momentum per mass.
 
     They include the trajectory of the center of mass. `now` is N and V (3×n) as expressions of the
-    state x (nx), `times` are T and T²/2 after its start (nx,).
+    state x (nx), `times` are T and T²/2 after its start (nx,). `gravity` (3,) is in m/s². Returns
+    the residuals with their names and units.
     """
     time, half_square = times
     c, v, spin = _momenta(body, mech, *now)
@@ -259,7 +261,8 @@ def _momentum_rows(
 def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any]:
     """Compute center of mass, its velocity, and angular momenta.
 
-    Momenta are divided by the mass. Pinned nodes are excluded.
+    N and V (3×n) are positions and velocities of the nodes. Momenta are divided by the mass. Pinned
+    nodes are excluded. There is one angular momentum for each free rotation of the body.
     """
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own

@@ -39,8 +39,9 @@ def _fit_turns(
 ) -> list[tuple[Array, Array, Array]]:
     """Fit rigid-body motions of nodes (n, 3) to goal positions.
 
-    Returns center, rotation and translation of up to two different fits. A pinned node is the
-    center, and there is no translation then.
+    `places` are node, axis and value [m] of each prescribed coordinate. `fixed` (n, 3) marks pinned
+    coordinates. Returns center, rotation and translation of up to two different fits. A pinned node
+    is the center, and there is no translation then.
     """
     held = np.flatnonzero(fixed.all(axis=1))
     center = nodes[held[0]] if held.size else nodes.mean(axis=0)

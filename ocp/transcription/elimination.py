@@ -192,7 +192,7 @@ def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> lis
     """Find the longest sequences of neighboring blocks.
 
     Blocks of a sequence have the same level and sparsity. `levels` are those of the blocks,
-    `starts` their first rows and the end.
+    `starts` their first rows and the end. `groups` are those of equal sparsity.
     """
     place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
     steps, k = [], 0

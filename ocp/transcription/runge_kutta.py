@@ -126,7 +126,7 @@ class _Steps:
         """Add decision variables for all stages.
 
         Their initial guesses are the values `first` (K, n) of the intervals, their names the n
-        `names`.
+        `names`. `scale` is their typical size.
         """
         stages = range(len(self.b))
         at = [f"{place}, stage {j}" for place in self._places(slice(None)) for j in stages]
@@ -141,7 +141,7 @@ class _Steps:
         """Add the multipliers (K, c) of the constraint projection.
 
         They project the states at the ends of intervals onto the bar and joint constraints. `what`
-        ends their names.
+        ends their names. `scale` is their typical size.
         """
         count = self.v.count
         return self.v.entries.unknowns(

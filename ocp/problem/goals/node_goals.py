@@ -436,7 +436,8 @@ def _rows(
     """Build the residuals of prescribed coordinates or velocities of nodes.
 
     ``columns`` (3×n) are the positions or velocities. Pinned axes have no residual. ``entries`` are
-    node, axis and value of each prescribed coordinate.
+    node, axis and value of each prescribed coordinate. ``goal`` begins the names of the residuals,
+    and ``unit`` is their unit.
     """
     free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))

@@ -53,7 +53,8 @@ class InteriorPoint:
     def _curvature_of_cost(self, u: Array, s: Array) -> tuple[Array, sp.csr_array | None]:
         """Split the cost's Hessian into a positive diagonal and the rest.
 
-        The rest is dropped if it dominates the diagonal.
+        The rest is dropped if it dominates the diagonal. The Hessian is that with respect to u.
+        Returns the diagonal and the rest or None.
         """
         of = self.of
         H = of.hessian(u, s).matrix[len(s) :, len(s) :]

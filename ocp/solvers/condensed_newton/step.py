@@ -105,8 +105,9 @@ class QuadraticModel:
     def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
         """Minimize by Steihaug's conjugate gradients along the constraints.
 
-        Returns the step, the change of the gradient, whether it ended at the trust region or by
-        negative curvature, and the number of products with the Hessian.
+        `force` (n,) is the gradient, `radius` the trust region. Returns the step, the change of the
+        gradient, whether it ended at the trust region or by negative curvature, and the number of
+        products with the Hessian.
         """
         most = 30  # products with the second derivatives
         metric, project = self.projector, self.projector.project
