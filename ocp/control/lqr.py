@@ -380,19 +380,16 @@ def trace_motion(model: Model, nodes: Array, states: Array, control: Array, time
     control : ndarray, shape (K, nu) or (K + 1, nu)
         Controls: piecewise constant, or piecewise linear.
     time : ndarray, shape (n,)
-        Times [s].
+        Times [s], ≥ ``nodes[0]``.
 
     Returns
     -------
     ndarray, shape (n, nx)
-        States at these times.
+        States at these times; after the last mesh point, the state there.
     """
-    k = np.clip(
-        np.searchsorted(nodes, time + 1e-9 * nodes[-1], side="right") - 1, 0, len(nodes) - 2
-    )
-    since = np.where(
-        np.isclose(time, nodes[k], rtol=0, atol=1e-9 * nodes[-1]), 0.0, time - nodes[k]
-    )
+    near = 1e-9 * nodes[-1]
+    k = np.searchsorted(nodes, time + near, side="right") - 1
+    since = np.where((k == len(nodes) - 1) | (time - nodes[k] <= near), 0.0, time - nodes[k])
     advance = RungeKutta4().step(model.ode).map(len(time))
     x = ca.DM(states[k].T)
     for part in range(STEPS):
@@ -401,9 +398,7 @@ def trace_motion(model: Model, nodes: Array, states: Array, control: Array, time
             profile_at(control, nodes, nodes[k] + (part + 0.5) / STEPS * since).T,
             since[None] / STEPS,
         )
-    found: Array = x.full().T
-    found[-1] = states[-1] if time[-1] >= nodes[-1] else found[-1]
-    return found
+    return np.asarray(x.full().T)
 
 
 def _regulate(

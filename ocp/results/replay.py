@@ -23,8 +23,8 @@ def replay_in_doubt(plan: PlanResult, model: Model) -> Replayed:
     """Replay a plan in open loop, and check its steps.
 
     The acceptance test of `simulate` compares the positions of all nodes with those of longer
-    steps. If the replay fails it, two replays follow, the second one with half the step size. Both
-    have to meet the goals.
+    steps. If the replay fails it, two replays follow, in steps of its mean step size and of half of
+    it. Both have to meet the goals.
     """
     first = replay_open(plan, model, None, None)
     if first.success:

@@ -178,8 +178,9 @@ class Replayed(NamedTuple):
     Attributes
     ----------
     motions : tuple of Trajectory
-        The replay. If it fails the check of its step size, a second one with half the step size
-        follows. Empty if the feedback of a tracked replay cannot be computed.
+        The replay. If it fails the check of its step size: one in steps of its mean step size, and
+        one in steps of half of it.
+        Empty if the feedback of a tracked replay cannot be computed.
     failure : str
         Reason why the replay is not valid; "" if it is.
     """

@@ -180,8 +180,8 @@ def tighten_rates(
     """Tighten the rate limits of a problem in force densities.
 
     They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
-    between. Returns None if they do not. `twin` is the problem in force densities. `fractions` are
-    the interval lengths relative to the duration.
+    between. Returns None if they do not, or if the states between mesh points diverge. `twin` is
+    the problem in force densities. `fractions` are the interval lengths relative to the duration.
     """
     locked = lock_winches(problem) if problem.model.na else problem
     structure = problem.model.scene.structure
@@ -192,7 +192,7 @@ def tighten_rates(
     nodes = converter.nodes(converter.count_parts())
     rates = np.diff(converter.evaluate(nodes)[2], axis=0) / np.diff(found.duration * nodes)[:, None]
     excess = np.abs(rates).max(axis=0) / limits
-    if excess.max() <= 1.0 + RESOLUTION:
+    if not 1.0 + RESOLUTION < excess.max() < np.inf:
         return None
     share = (1.0 - RESOLUTION) / np.maximum(excess, 1.0)
     bounds = [
@@ -308,10 +308,14 @@ class _Converter:
         return states, planned, np.clip(rest, *self.limits)
 
     def count_parts(self) -> int:
-        """Choose the number of parts into which intervals are divided."""
+        """Choose the number of parts into which intervals are divided.
+
+        It is 1 if the states between mesh points diverge.
+        """
         nodes = self.nodes(1)
         rest = self.evaluate(nodes)[2]
         states, planned, _ = self.evaluate((nodes[1:] + nodes[:-1]) / 2)
         error = np.abs(forces_of(self.model, states, (rest[1:] + rest[:-1]) / 2) - planned).max()
         typical = float(np.sqrt(np.mean(planned**2)))
-        return int(np.clip(np.ceil(np.sqrt(error / (FORCE_ERROR * typical))), 1, 2 * STEPS))
+        parts = np.ceil(np.sqrt(error / (FORCE_ERROR * typical)))
+        return int(np.clip(parts, 1, 2 * STEPS)) if np.isfinite(parts) else 1

@@ -11,9 +11,10 @@ from planning import prism
 
 import ocp
 import tenscasadi as tc
+from ocp.control.lqr import trace_motion
 from ocp.search.methods import plan_guess
 from ocp.search.policy import Attempt, attempts
-from ocp.search.rest_lengths import build_force_density_problem
+from ocp.search.rest_lengths import build_force_density_problem, convert_outcome, tighten_rates
 from ocp.search.task import prepare
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import PiecewiseConstant
@@ -60,6 +61,32 @@ def test_rates_keep_to_active_limits_between_mesh_points(stiffness):
     assert 0.98 * limit < rates.max() <= limit * (1 + 1e-4)
     if stiffness > 1e3:
         assert len(plan.time) > 100
+
+
+@pytest.mark.parametrize("parts", [1, 3, 7])
+def test_traced_states_are_the_planned_ones_at_mesh_points(plan, parts):
+    """Also where the last time is rounded down."""
+    states, nodes = plan.trajectory.states, plan.time
+    time = np.linspace(0.0, nodes[-1], parts * (len(nodes) - 1) + 1) * (1 - 1e-15)
+    moved = states + 1e-6 * np.arange(len(states))[:, None]
+    traced = trace_motion(plan.model, nodes, moved, plan.control, time)
+    assert traced[::parts] == pytest.approx(moved, abs=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_rates_are_not_tightened_where_states_between_mesh_points_diverge():
+    """Velocities whose squares overflow: whole intervals remain, and the replay decides."""
+    problem = stiff(1e3, ocp.RestLengthRateLimits(0.5))
+    twin, count = build_force_density_problem(problem), 3
+    states = np.tile(twin.initial_state, (count + 1, 1))
+    states[:, twin.model.nq :] = 1e200
+    forces = np.full((count + 1, twin.model.nu), 50.0)
+    found = Outcome(states, forces, 1.0, 1.0, True, "", 1)
+    shares = np.full(count, 1 / count)
+    assert tighten_rates(problem, twin, shares, found) is None
+    converted = convert_outcome(problem, shares, found)
+    assert np.array_equal(converted.states, states)
+    assert np.isfinite(converted.force_density).all()
 
 
 def test_message_names_strings_that_go_slack_by_their_damping():
