@@ -34,7 +34,10 @@ class ForceElement:
     switch_count: int = 0
 
     def forces(self, at: NodeMotion) -> Any:
-        """Compute the forces (3×n) [N]."""
+        """Compute the forces (3×n) [N].
+
+        `at` has the positions and velocities of the nodes, and the time.
+        """
         raise NotImplementedError
 
     def energy(self, N: Any) -> Any:
@@ -55,7 +58,7 @@ class ForceElement:
     def switches(self, at: NodeMotion) -> Any:
         """Compute functions (1×k) [m] that are positive in mode 1.
 
-        A mode is 1 for a taut string or a contact, else 0.
+        A mode is 1 for a taut string or a contact, else 0. `at` is that of `forces`.
         """
         return ca.DM(1, 0)
 

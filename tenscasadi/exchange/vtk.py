@@ -128,7 +128,11 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
 def _frame(
     meshio: Any, run: Trajectory, row: int, bar_force_density: Array, hulls: list[Indices]
 ) -> Any:
-    """Build the mesh of one saved time for ParaView."""
+    """Build the mesh of one saved time for ParaView.
+
+    `row` is the index of the time. `hulls` are the triangles (·, 3) of each rigid body, as node
+    indices.
+    """
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1
     lengths = [distances(nodes, pairs) for pairs in (run.bars, run.strings)]

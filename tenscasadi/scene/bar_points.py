@@ -56,7 +56,10 @@ class BarPoints:
         return times(first, 1 - self.fractions) + times(second, self.fractions)
 
     def velocities(self, N: Any, V: Any) -> Any:
-        """Compute the velocities (3×m) [m/s] of the points."""
+        """Compute the velocities (3×m) [m/s] of the points.
+
+        N and V (3×n) are positions and velocities of all nodes.
+        """
         moves = self.place(V)
         if self.offsets is None:
             return moves

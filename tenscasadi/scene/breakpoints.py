@@ -22,7 +22,7 @@ _REMAINDERS = {ca.OP_FMOD: ca.sin, ca.OP_REMAINDER: ca.cos}
 
 
 def probe_times(first: float, last: float) -> Array:
-    """Return 4001 equidistant times of a run [s]."""
+    """Return 4001 equidistant times from `first` to `last` [s]."""
     return np.linspace(first, last, 4001)
 
 

@@ -36,8 +36,9 @@ def press(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
 def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> Any:
     """Compute contact forces (3×n) [N] with normal and friction parts.
 
-    V (3×n) [m/s] are relative velocities v of the touching surfaces. Coulomb's friction is μ f
-    v_t/√(v_t² + v_s²) for the normal force f, with a regularizing velocity v_s.
+    `law` is a ground or `BarContact`. V (3×n) [m/s] are relative velocities v of the touching
+    surfaces. Coulomb's friction is μ f v_t/√(v_t² + v_s²) for the normal force f, with a
+    regularizing velocity v_s.
     """
     push = press(law, contact, V, touching)
     W = times(contact.outward, push)
@@ -50,7 +51,11 @@ def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> 
 
 
 def find_switching(law: Any, contact: Contact, V: Any) -> Any:
-    """Compute functions (1×n) [m] that are positive in contact."""
+    """Compute functions (1×n) [m] that are positive in contact.
+
+    `law` is a ground or `BarContact`. V (3×n) [m/s] are relative velocities of the touching
+    surfaces.
+    """
     depth = contact.depth
     return ca.fmin(depth, depth - law.damping / law.stiffness * along(contact.outward, V))
 
@@ -68,7 +73,8 @@ def times(outward: Any, row: Any) -> Any:
 def compute_slip(contact: Contact, V: Any) -> tuple[Any, Any]:
     """Compute the slip velocities (3×n) along a surface [m/s].
 
-    Also returns the ratio (1×n) of the normal force to k d − c v, None if it is 1.
+    V (3×n) [m/s] are relative velocities of the touching surfaces. Also returns the ratio (1×n) of
+    the normal force to k d − c v, None if it is 1.
     """
     outward, steepness = contact.outward, contact.steepness
     if steepness is None:

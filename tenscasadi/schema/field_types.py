@@ -48,15 +48,17 @@ class FieldType(ABC):
     def check(self, field: str, value: Any) -> Any:
         """Check a Python value, see `check_fields`.
 
-        Most values are checked by their class instead. Raises TypeError, ValueError.
+        Messages name `field`. Most values are checked by their class instead. Raises TypeError,
+        ValueError.
         """
         return value
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
         """Replace names by indices in a Python value.
 
-        They are names of nodes, bars and strings. Other values are returned unchanged, for the
-        checks of their class. Raises TypeError, ValueError.
+        They are names of nodes, bars and strings of a structure, given by `names`. Messages begin
+        with `field`. Other values are returned unchanged, for the checks of their class. Raises
+        TypeError, ValueError.
         """
         return value
 

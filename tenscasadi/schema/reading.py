@@ -289,7 +289,7 @@ class Item(NamedTuple):
     def table(self, wanted: str = "a table") -> dict[str, Item]:
         """Read the items of a table by name.
 
-        Raises SceneFileError.
+        The message for another value asks for `wanted`. Raises SceneFileError.
         """
         if not isinstance(self.value, dict):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")

@@ -173,7 +173,8 @@ def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
 def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
     """Find the rigid-body motion (free,) that a load destabilizes most.
 
-    It is one without stiffness. Returns None if there is none.
+    It is one without stiffness. `change` is the change of the tangent stiffness per load factor.
+    Returns None if there is none.
     """
     flat = state.neutral
     if not flat.shape[1]:

@@ -131,6 +131,7 @@ def _read_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryvi
 def _read_matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
     """Read the name and value of an array in a .mat file.
 
+    `order` is the byte order as in `struct`, and `depth` the number of structs around the array.
     The value is None for other kinds of values. Raises ValueError and others if it is damaged.
     """
     if not len(content):

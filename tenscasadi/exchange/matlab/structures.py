@@ -148,7 +148,8 @@ def find_structure(
 def _choose(source: Source, variables: Variables, name: str | None) -> str | None:
     """Select the struct of the file that describes a structure.
 
-    Returns None if variables of the file describe it.
+    `name` is the user's choice; None selects automatically. Returns None if variables outside
+    structs describe it.
     """
     structs = [
         key for key, value in variables.items() if isinstance(value, dict) and _describes(value)

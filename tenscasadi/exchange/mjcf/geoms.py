@@ -134,7 +134,8 @@ def _compute_mass(
 ) -> Mass:
     """Compute the mass properties of a geom.
 
-    They follow from its density if the mass is not given.
+    `frame` is its coordinate frame, and `rod` its axis and radius. Without a `mass` [kg] they
+    follow from its density [kg/m³].
     """
     if rod.kind in ("box", "ellipsoid"):
         half = element.numbers("size", 3)

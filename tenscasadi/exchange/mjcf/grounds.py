@@ -159,7 +159,7 @@ def _can_touch(one: Element, other: Element) -> bool:
 
 
 def _mix(one: Element, other: Element) -> Element:
-    """Combine the contact attributes of two geoms.
+    """Combine the contact attributes of two geoms, `one` and `other`.
 
     The geom of higher priority decides. For equal priorities the friction is the maximum, and the
     law the mean.
@@ -184,7 +184,8 @@ def _mix(one: Element, other: Element) -> Element:
 def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[PlaneTouch]:
     """Find the possible plane contacts of a geom.
 
-    The geom covers a bar, or its ends are nodes.
+    The geom belongs to piece k and has the contact attributes `law`. It covers a bar, or its ends
+    are nodes.
     """
     if geom.rod is None:
         return []
@@ -268,7 +269,7 @@ def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dic
 
 
 def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two contact laws agree to six digits."""
+    """Return whether two contact laws agree within 0.01 %."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

@@ -288,7 +288,8 @@ class PieceEnds:
     def read_bar(self, k: int, piece: Piece) -> tuple[float, float, Array]:
         """Compute mass, radius and end masses (2,) of a bar.
 
-        The end masses are those with their centers at the ends. Raises SceneFileError.
+        The bar is piece k. The end masses are those with their centers at the ends. Raises
+        SceneFileError.
         """
         ends = np.array(self.points[k])
         along = ends[1] - ends[0]
@@ -400,7 +401,8 @@ def _find_extremes(points: list[Array]) -> Array:
 def order_by_number(names: list[list[str]], prefix: str) -> list[int] | None:
     """Sort items by the numbers in their names.
 
-    Returns None unless the numbers are complete and start at 0.
+    A name has the number after `prefix`; each item has several names. Returns None unless the
+    numbers are complete and start at 0.
     """
     pattern = re.compile(prefix + "([0-9]{1,9})")
     matches = [[pattern.fullmatch(name) for name in own] for own in names]

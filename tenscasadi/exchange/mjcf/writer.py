@@ -269,7 +269,10 @@ class MjcfWriter:
                     self._node(element, node, s.nodes[node] - place)
 
     def _rod(self, body: ET.Element, bar: int, ends: list[float]) -> None:
-        """Add the mass of a bar, and a visible cylinder, to its body."""
+        """Add the mass of a bar, and a visible cylinder, to its body.
+
+        `ends` are the positions of the bar's ends along the z axis of the body [m].
+        """
         s = self.s
         radius, mass = s.bar_radius[bar], s.bar_mass[bar]
         across = s.bar_inertia[bar] * s.bar_lengths[bar] ** 2  # J of Eq. 19 times l²

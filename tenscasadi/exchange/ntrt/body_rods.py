@@ -73,7 +73,8 @@ def _find_cross(wanted: MassProperties) -> Array:
 def _moments(own: MassProperties, wanted: MassProperties, size: float) -> Array:
     """Compute normalized mass, first and second moments (10,).
 
-    The moments are about the center of `wanted`, and are divided by its mass and the size.
+    They are those of `own`. The moments are about the center of `wanted`. They are divided by its
+    mass and powers of the length `size`.
     """
     arm = own.center - wanted.center
     second = (own.moments + own.mass * np.outer(arm, arm))[np.triu_indices(3)]

@@ -117,6 +117,7 @@ class _NtrtReader:
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> Assembly:
         """Read an NTRT file and its substructures.
 
+        `name` is that of the structure. The files `above` include this one, directly or indirectly.
         Raises SceneFileError.
         """
         if path not in self.trees:

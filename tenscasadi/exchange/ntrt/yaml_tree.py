@@ -144,7 +144,8 @@ def _name(source: Source, path: Path) -> str:
 def _count(node: Any, known: dict[int, int]) -> int:
     """Count the YAML entries below a node, with expanded aliases.
 
-    Raises ValueError if an alias contains itself.
+    `known` has the counts of nodes by their id, −1 while a node is counted. Raises ValueError if an
+    alias contains itself.
     """
     if id(node) not in known:
         known[id(node)] = -1

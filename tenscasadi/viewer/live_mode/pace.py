@@ -55,7 +55,10 @@ class Pace:
         self._log.clear()
 
     def due(self, now: float) -> int:
-        """Count the whole ticks that are due at a time [s]."""
+        """Count the whole ticks that are due at a time `now` [s].
+
+        A tick is the interval in which inputs are constant.
+        """
         if self._last is None:
             self._last = now
             self._log.append((now, 0))
