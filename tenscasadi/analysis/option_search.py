@@ -43,7 +43,10 @@ class AccuracyTarget:
         return self.interrupted or time.perf_counter() > self.deadline
 
     def check_time(self, expected: float) -> None:
-        """Raise OutOfTime if a run would end after the deadline."""
+        """Raise OutOfTime if a run would end after the deadline.
+
+        The run is `expected` to take this time [s].
+        """
         self.progress_bar.update(0)  # shows the time
         if self.late or time.perf_counter() + expected > self.deadline:
             raise OutOfTime

@@ -197,7 +197,11 @@ def _excess(scene: Scene, found: Any) -> Array:
 
 
 def _violation(excess: Array, side: Array) -> float:
-    """Compute the norm of violations of the stick and slip conditions."""
+    """Compute the norm of violations of the stick and slip conditions.
+
+    `excess` (2, c) are the results of `_excess`. `side` (c,) is 1 or −1 for the direction of slip,
+    0 at nodes where the cable sticks.
+    """
     stuck = np.maximum(excess.max(axis=0), 0.0)[side == 0.0]
     return float(np.linalg.norm(np.concatenate([stuck, _select(excess, side)])))
 

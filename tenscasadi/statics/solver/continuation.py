@@ -444,8 +444,8 @@ class Tracer:
     def _way(self, place: PathPoint, other: PathPoint) -> Array:
         """Compute the scaled difference (free + 1,) of two equilibria.
 
-        It points from `place` to `other`. It is in units of arc length:
-        displacements, then the factor.
+        It points from `place` to `other`. It is in units of arc length: displacements, then the
+        factor.
         """
         moved = self._displacement(place, other)
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)

@@ -68,7 +68,7 @@ class Pace:
         return int(self._debt + 1e-9)
 
     def done(self, ticks: int, now: float) -> None:
-        """Record computed ticks, and the clock time after them [s]."""
+        """Record computed ticks, and the clock time `now` after them [s]."""
         self._debt -= ticks
         self._log.append((now, ticks))
         while len(self._log) > 2 and now - self._log[1][0] >= _WINDOW:
