@@ -1,8 +1,9 @@
-"""Motions through contact as planning problems, each solved by `ocp.solve(problem)` as it is: jumps, landings, a crawl, a ball that tips over.
+"""Plans of motions through contact with defaults: jumps, landings, a crawl, a ball that tips over.
 
-Force densities are between limits above 0: at 0 a structure is a heap of bars, and with `Effort`
-alone it lies down. Where a shape matters, goals say it. Run it for what is found, and a picture of
-each: python examples/contact_problems.py pictures
+The lower limits of the force densities are above 0, because a structure without forces collapses,
+and `Effort` alone leads to it. Goals fix the shape where it matters.
+
+Run it with a folder for the pictures: python examples/contact_problems.py pictures
 """
 
 from __future__ import annotations

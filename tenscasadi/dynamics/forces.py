@@ -233,8 +233,7 @@ class StringForces(ForceElement):
     def power(self, at: NodeMotion, stored: bool) -> Any:
         """Compute the power −γ sᵀṡ of all strings [W].
 
-        If `stored`, the rate of their elastic energy is excluded, so that the power is that of
-        damping.
+        If `stored`, only the power that does not change their elastic energy: that of damping.
         """
         gamma, S = self.force_density(at.N, at.V)
         if stored and not self.scene.commands_forces:

@@ -248,7 +248,7 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def project_onto_constraints(self, vectors: Any) -> Any:
-        """Project vectors (3×c) onto the joint constraint directions."""
+        """Project a vector for each joint (3×c) onto its constrained directions (3×c)."""
         if self.frames is None:
             return vectors * self.active_mask
         D = self.constrained_directions

@@ -69,9 +69,9 @@ class BarPoints:
         return moves + times(turning, along / squared) - times(axis, across / squared)
 
     def end_forces(self, N: Any, F: Any) -> Any:
-        """Distribute forces (3×m) [N] at the points to the bar ends.
+        """Distribute forces F (3×m) [N] at the points to the bar ends.
 
-        The result (3×2m) belongs to the nodes `columns`.
+        N (3×n) are the node positions [m]. The result (3×2m) belongs to the nodes `columns`.
         """
         first, second = times(F, 1 - self.fractions), times(F, self.fractions)
         if self.offsets is not None:  # the couple d × F across the axis

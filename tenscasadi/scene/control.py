@@ -82,9 +82,10 @@ class Control(Value):
         raise NotImplementedError
 
     def command(self, u: Any, internal: Any) -> Any:
-        """Return string forces or rest lengths (nu,) from inputs and states.
+        """Return the force densities [N/m], tensions [N] or rest lengths [m] (nu,).
 
-        `internal` are the internal states of the control.
+        Without actuator dynamics they are the inputs u. Otherwise they follow from u and the
+        internal states `internal` (na,) of the actuators.
         """
         return u
 

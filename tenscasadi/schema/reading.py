@@ -88,9 +88,10 @@ class Names:
     named: Mapping[ItemKind, Mapping[str, Sequence[int]]] = field(default_factory=dict)
 
     def add_inputs(self, cable_of: Indices) -> Names:
-        """Add the control inputs, by the names of their strings.
+        """Return a copy with the control inputs, which have the names of their strings.
 
-        Inputs belong to cables, and to strings in no cable.
+        `cable_of` (α,) is the input of each string: one for each cable and for each string in no
+        cable.
         """
         inputs = cable_of.tolist()
         own = {

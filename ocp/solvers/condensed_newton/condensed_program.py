@@ -275,9 +275,9 @@ class Expansion:
         self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
 
     def curvature(self, step: Array, moved: Array) -> Array:
-        """Multiply the Hessian with respect to u by a step.
+        """Multiply the condensed Hessian of the Lagrangian by a step of u.
 
-        The change `moved` of s belongs to the step.
+        `moved` is the change of s by the linearized dynamics.
         """
         by_s, by_u = np.split(self._second.times(np.append(moved, step)), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)

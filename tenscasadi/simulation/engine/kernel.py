@@ -307,7 +307,7 @@ class Kernel:
     ) -> None:
         """Advance a range of runs by a range of steps.
 
-        Both ranges exclude their end.
+        Both ranges exclude their end. Without `threads`, one run follows the other.
         """
         began, backend, (first, last) = time.perf_counter(), self.backend, runs
         given = _select(work, steps)

@@ -52,7 +52,7 @@ def check_internal_states(runs: Runs) -> Doubts:
 
 
 def describe_motor_overload(runs: Runs, k: int) -> str:
-    """Describe the motor that exceeds a limit of its `Winch` most.
+    """Describe the motor of run k that exceeds a limit of its `Winch` most.
 
     Returns "" if none does. The torques of a run with feedback are not examined: they are limited.
     """

@@ -129,9 +129,10 @@ class LivePanel:
         self._said = text
 
     def find_node(self, part: str, index: int, seen: Any) -> int:
-        """Find the movable node nearest to a clicked position.
+        """Find the movable node of a clicked part that is nearest to the click.
 
-        `part` and `index` are the clicked node or member.
+        The part is number `index` of "nodes", "bars" or "strings" (`part`). `seen` is the position
+        of the click in the scene of the viewer.
         """
         structure, pullable = self.simulation.model.structure, self.simulation.pullable
         ends = np.array([index]) if part == "nodes" else np.asarray(getattr(structure, part))[index]
