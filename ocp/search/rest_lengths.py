@@ -45,7 +45,7 @@ from tenscasadi.util.validate import Array
 _DIFFERENT = Smoothness, Constraint, Integral, AtEnd
 # × RMS force density: error of the force densities between the nodes of the rest lengths, which
 # falls with the square of their number
-FORCE_ERROR = 0.1
+FORCE_ERROR = 0.03
 
 
 def build_force_density_problem(problem: Problem) -> Problem | None:

@@ -47,7 +47,7 @@ def test_stiff_strings_reach_the_goal_by_their_rest_lengths(stiffness):
     assert lengths == pytest.approx(prism(1.05).string_lengths, abs=5e-3)
 
 
-@pytest.mark.parametrize("stiffness", [1e3, 1e5])
+@pytest.mark.parametrize("stiffness", [1e3, 1e4, 1e5])
 def test_rates_keep_to_active_limits_between_mesh_points(stiffness):
     """Between the 30 mesh points of the plan in force densities, too.
 
@@ -59,7 +59,7 @@ def test_rates_keep_to_active_limits_between_mesh_points(stiffness):
     assert "in force densities" in plan.message
     rates = np.abs(np.diff(plan.rest_lengths(), axis=0)) / np.diff(plan.time)[:, None]
     assert 0.98 * limit < rates.max() <= limit * (1 + 1e-4)
-    if stiffness > 1e3:
+    if stiffness > 1e4:
         assert len(plan.time) > 100
 
 
