@@ -24,7 +24,7 @@ from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
-from ocp.search.rest_lengths import build_force_density_problem, convert_guess
+from ocp.search.rest_lengths import build_force_density_problem, convert_guess, limit_speeds
 from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
@@ -175,6 +175,8 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     elif force_attempt is not None:
         yield force_attempt
         after = FAILED
+        if strict := limit_attempt_speeds(problem, force_attempt):
+            yield strict
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)
         yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
@@ -205,6 +207,22 @@ def build_force_density_attempt(
     count = choose_intervals(twin.problem, forces)
     coarse = Variational(count, control=PiecewiseLinear(), accuracy=accuracy)
     return Attempt(coarse, solver, known, "stiff strings", after, twin)
+
+
+def limit_attempt_speeds(problem: Problem, attempt: Attempt) -> Attempt | None:
+    """Build the attempt in force densities that limits rates of rest lengths within intervals.
+
+    Mean rates over intervals permit rates that alternate within them. Of rest lengths at 1e5 N/m
+    with an active limit, mean rates find none, and this attempt finds a plan in 1.2 s of CPU time.
+    At 1e4 N/m near the least feasible limit, it is the slower one: 23 s in place of 1.2 s. Returns
+    None without limits of rates.
+    """
+    twin = attempt.twin
+    limited = None if twin is None else limit_speeds(problem, twin.problem)
+    if twin is None or limited is None:
+        return None
+    why = "rates within intervals"
+    return attempt._replace(twin=twin._replace(problem=limited), why=why, after=FAILED)
 
 
 def build_force_density_task(task: PlanningTask) -> PlanningTask | None:

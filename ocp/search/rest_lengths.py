@@ -72,17 +72,27 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
         return None
     stiffness = problem.model.scene.structure.stiffness
     bounds = [
-        replace(bound, stiffness=None) if isinstance(bound, RestLengthLimits) else bound
+        replace(bound, stiffness=None)
+        if isinstance(bound, (RestLengthLimits, RestLengthRateLimits))
+        else bound
         for bound in problem.bounds
-        if not isinstance(bound, RestLengthRateLimits)
     ]
-    rates = combine_rates(problem.model.scene.structure, problem.bounds)
-    if np.isfinite(rates).any():
-        margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
-        bounds.append(RestLengthSpeeds((1 - margin) * rates))
     bounds.append(ForceDensityLimits(upper=(1 - RESOLUTION) * stiffness))
     model = build_force_density_model(problem.model)
     return replace(problem, model=model, bounds=bounds)
+
+
+def limit_speeds(problem: Problem, twin: Problem) -> Problem | None:
+    """Impose rate limits at the start of intervals, in addition to the means of intervals.
+
+    Returns None if `problem` has none. `twin` is the problem in force densities.
+    """
+    rates = combine_rates(problem.model.scene.structure, problem.bounds)
+    if not np.isfinite(rates).any():
+        return None
+    margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
+    others = [bound for bound in twin.bounds if not isinstance(bound, RestLengthRateLimits)]
+    return replace(twin, bounds=[*others, RestLengthSpeeds((1 - margin) * rates)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +187,19 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
 def tighten_rates(
     problem: Problem, twin: Problem, fractions: Array, found: Outcome
 ) -> Problem | None:
-    """Tighten the rate limits of a problem in force densities.
+    """Tighten the rate limits of `limit_speeds`.
 
     They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
-    between. Returns None if they do not, or if the states between mesh points diverge. `twin` is
-    the problem in force densities. `fractions` are the interval lengths relative to the duration.
+    between. Returns None if they do not, if the states between mesh points diverge, or without such
+    limits. `twin` is the problem in force densities. `fractions` are the interval lengths relative
+    to the duration.
     """
+    if not any(isinstance(bound, RestLengthSpeeds) for bound in twin.bounds):
+        return None
     locked = lock_winches(problem) if problem.model.na else problem
     structure = problem.model.scene.structure
     limits = combine_rates(structure, problem.bounds)
-    if locked is None or not (found.success or found.coarse) or not np.isfinite(limits).any():
+    if locked is None or not (found.success or found.coarse):
         return None
     converter = _Converter(locked, fractions, found)
     nodes = converter.nodes(converter.count_parts())

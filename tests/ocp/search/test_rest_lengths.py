@@ -14,7 +14,12 @@ import tenscasadi as tc
 from ocp.control.lqr import trace_motion
 from ocp.search.methods import plan_guess
 from ocp.search.policy import Attempt, attempts
-from ocp.search.rest_lengths import build_force_density_problem, convert_outcome, tighten_rates
+from ocp.search.rest_lengths import (
+    build_force_density_problem,
+    convert_outcome,
+    limit_speeds,
+    tighten_rates,
+)
 from ocp.search.task import prepare
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import PiecewiseConstant
@@ -77,7 +82,7 @@ def test_traced_states_are_the_planned_ones_at_mesh_points(plan, parts):
 def test_rates_are_not_tightened_where_states_between_mesh_points_diverge():
     """Velocities whose squares overflow: whole intervals remain, and the replay decides."""
     problem = stiff(1e3, ocp.RestLengthRateLimits(0.5))
-    twin, count = build_force_density_problem(problem), 3
+    twin, count = limit_speeds(problem, build_force_density_problem(problem)), 3
     states = np.tile(twin.initial_state, (count + 1, 1))
     states[:, twin.model.nq :] = 1e200
     forces = np.full((count + 1, twin.model.nu), 50.0)
