@@ -73,11 +73,11 @@ class InfeasibleGoalError(ValueError):
     >>> import tenscasadi as tc
     >>> model = tc.Model(tc.Scene(tc.shapes.prism(), control=tc.ForceDensity()))
     >>> away = ocp.Problem(model, goals=[ocp.NodePositions(tc.shapes.prism().nodes + [0, 0, 1.0])])
-    >>> ocp.solve(away)
-    Traceback (most recent call last):
-        ...
-    ocp.targets.infeasible_goal.InfeasibleGoalError: NodePositions: node ... misses its goal by 1 m
-    at best, as the center of mass ...
+    >>> try:
+    ...     ocp.solve(away)
+    ... except ocp.InfeasibleGoalError as error:
+    ...     print(error)
+    NodePositions: node ... misses its goal by 1 m at best, as the center of mass ...
     """
 
     def __init__(self, message: str, certificate: Certificate | None = None) -> None:
