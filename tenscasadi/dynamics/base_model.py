@@ -12,5 +12,8 @@ class BaseModel:
 
 
 def check_model(model: Any, field: str = "model") -> None:
-    """Raise TypeError unless a value is a `Model`."""
+    """Raise TypeError unless a value is a `Model`.
+
+    The message names `field`, the argument that has the value.
+    """
     instance(field, model, BaseModel, "a tenscasadi.Model")

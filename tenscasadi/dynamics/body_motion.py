@@ -12,16 +12,18 @@ from tenscasadi.util.validate import NEGLIGIBLE, Array, whole_number
 
 
 class BodyFrame(NamedTuple):
-    """Constant linear combination of a body's nodes that is its frame.
+    """Weights that convert a body's node positions to its axes.
+
+    The axes of the body are orthonormal; each is a constant linear combination of its node positions.
 
     Attributes
     ----------
     nodes : list of int
         Nodes of the body.
     weights : ndarray, shape (k, d)
-        Weights of the nodes for each direction; d is 2 for nodes in a plane, else 3.
+        Weights of the k nodes for each axis [1/m]. d is 2 for nodes in a plane, else 3.
     directions : ndarray, shape (3, 3)
-        Directions in the initial configuration, as columns.
+        Axes in the initial configuration, as columns.
     """
 
     nodes: list[int]
@@ -29,7 +31,10 @@ class BodyFrame(NamedTuple):
     directions: Array
 
     def rotation(self, nodes: Any) -> Any:
-        """Compute the rotation matrix (3×3) of the body from nodes (3×n)."""
+        """Compute the rotation matrix (3×3) of the body since the start.
+
+        `nodes` (3×n) are the positions of all nodes of the structure [m].
+        """
         F = ca.mtimes(nodes[:, self.nodes], ca.DM(self.weights))
         if F.shape[1] == 2:
             F = ca.horzcat(F, ca.cross(F[:, 0], F[:, 1]))
@@ -38,7 +43,7 @@ class BodyFrame(NamedTuple):
     def angular_velocity(self, nodes: Any, velocities: Any) -> Any:
         """Compute the angular velocity (3) [rad/s].
 
-        Nodes and velocities are 3×n.
+        `nodes` and `velocities` (3×n) are those of all nodes of the structure [m, m/s].
         """
         weights = ca.DM(self.weights)
         F, G = (ca.mtimes(Z[:, self.nodes], weights) for Z in (nodes, velocities))

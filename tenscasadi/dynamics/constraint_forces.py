@@ -9,7 +9,10 @@ constraints. The constrained one is
 with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In reduced
 coordinates joints are satisfied by construction and P has no columns. λ solves ((BᵀB) ∘ G) λ = −r
 with G = C_b M⁻ C_bᵀ (Eqs. 94-95). In full coordinates every bar has its own nodes and G is
-diagonal. λ̂ is eliminated bar by bar, and Ω solves Eq. 103 (corrected, and symmetric).
+diagonal. λ̂ is eliminated bar by bar, and Ω solves Eq. 103 (corrected, and symmetric). Symbols of
+the functions: `mech` has the constant matrices of the structure. N and V (3×n) are node positions
+and velocities, B (3×β) the vectors b of the β rigid bars, and c the number of joint constraints N P
+= D.
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ class RedundantConstraints(UserWarning):
 def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
     """Compute the constraint residuals of bars and joints.
 
-    They are ½(bᵀb − l²) (1×β) [m²] and N P − D (3×c) [m].
+    They are ½(bᵀb − l²) (1×β) [m²] for bar vectors b (columns of B) of length l, and N P − D (3×c)
+    [m] for nodes N (3×n) and prescribed joint positions D (3×c).
     """
     return (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2, ca.mtimes(N, sparse(mech.P)) - D
 
@@ -58,7 +62,8 @@ def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
 def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
     """Compute the time derivatives of the constraint residuals.
 
-    They are bᵀḃ (1×β) [m²/s] and V P − Ḋ (3×c) [m/s].
+    They are bᵀḃ (1×β) [m²/s] for bar vectors b (columns of B) and V P − Ḋ (3×c) [m/s]. V (3×n) are
+    node velocities, and `Dd` is Ḋ (3×c), the prescribed velocities of joints.
     """
     return ca.sum1(B * mech.bar_vectors(V)), ca.mtimes(V, sparse(mech.P)) - Dd
 
@@ -69,8 +74,9 @@ def residual_rates(mech: Mechanism, V: Any, B: Any, Dd: Any) -> tuple[Any, Any]:
 def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
     """Assemble the symmetric linear system for the multipliers.
 
-    r (1×β) and R (3×c) are the residuals of bars and joints. The matrix is that of Eq. 103, or
-    (BᵀB) ∘ G. Returns matrix and right-hand side.
+    B (3×β) are the bar vectors; r (1×β) and R (3×c) are the residuals of bars and joints. With
+    joint constraints the unknowns are Ω (3c) and the matrix is that of Eq. 103. Without them the
+    unknowns are λ (β) and the matrix is (BᵀB) ∘ G. Returns matrix and right-hand side.
     """
     if not mech.joints:
         return _bar_matrix(mech, B), -r.T
@@ -87,7 +93,8 @@ def assemble_system(mech: Mechanism, B: Any, r: Any, R: Any) -> tuple[Any, Any]:
 def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple[Any, Any]:
     """Compute λ (1×β) and Ω (3×c) from the linear system's solution.
 
-    Bars that are not coupled with others are solved one by one (Eq. 87).
+    `solution` belongs to the system of `assemble_system`, with the same bar vectors B (3×β) and bar
+    residuals r (1×β). Bars that are not coupled with others are solved one by one (Eq. 87).
     """
     if mech.joints:
         Omega = ca.reshape(
@@ -103,7 +110,8 @@ def recover_multipliers(mech: Mechanism, B: Any, r: Any, solution: Any) -> tuple
 def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
     """Compute the constraint forces B λ̂ C_b + Ω Pᵀ (3×n) on nodes.
 
-    These are the forces of bars and, with Ω, of joints.
+    These are the forces of bars with vectors B (3×β) and multipliers `lam` (λ, 1×β), and those of
+    joints with multipliers `Omega` (Ω, 3×c), if given.
     """
     force = scale_and_multiply(B, lam, mech.C_b)
     return force if Omega is None or not mech.joints else force + ca.mtimes(Omega, sparse(mech.P.T))
@@ -115,7 +123,8 @@ def nodal_forces(mech: Mechanism, B: Any, lam: Any, Omega: Any = None) -> Any:
 def remove_residuals(mech: Mechanism, Z: Any, B: Any, r: Any, R: Any) -> Any:
     """Remove constraint residuals by a mass-weighted projection.
 
-    The residuals are r of bars (1×β) and R of joints (3×c). The result is Z + (B λ̂ C_b + Ω Pᵀ) M⁻.
+    Z (3×n) are node positions, velocities or accelerations with the residuals r of bars (1×β) and R
+    of joints (3×c). B (3×β) are the bar vectors. The result is Z + (B λ̂ C_b + Ω Pᵀ) M⁻ (3×n).
     """
     solution: Any = ca.DM.zeros(0, 1)
     if mech.system_size:
@@ -148,7 +157,8 @@ def _apply_multipliers(mech: Mechanism, Z: Any, B: Any, r: Any, solution: Any) -
 def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
     """Find the closest velocities that satisfy the constraints.
 
-    The distance to V (3×n) is mass-weighted; the constraints are bᵀḃ = 0 and V P = Ḋ.
+    The distance to the given velocities V (3×n) is weighted by masses. The constraints at nodes N
+    (3×n) are bᵀḃ = 0 for bars and V P = Ḋ for joints, where `Dd` is Ḋ (3×c).
     """
     if not mech.constrained:
         return V
@@ -159,16 +169,17 @@ def project_velocities(mech: Mechanism, N: Any, V: Any, Dd: Any) -> Any:
 def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
     """Change the lengths of bars by displacements along them.
 
-    The bars are not coupled with each other. A bar vector b becomes b + ν b, where ν is 1×β.
-    Returns the nodes N.
+    The bars are not coupled (G is diagonal). Each bar vector b (column of B) becomes b + ν b, where
+    `nu` is ν (1×β). Returns the node positions (3×n) after the change of N.
     """
     return N + mech.with_inverse(nodal_forces(mech, B, nu / diagonal_row(mech.G[0])))
 
 
 def bar_scale(mech: Mechanism, B: Any) -> Any:
-    """Compute h = bᵀb G_ii (1×β) of bars that are not coupled.
+    """Compute h = bᵀb G_ii (1×β), the divisors of the multipliers λ.
 
-    With the paper's constant length, it is l² G_ii.
+    It applies to bars that are not coupled. b are the columns of B (3×β), and G = C_b M⁻ C_bᵀ. With
+    the paper's constant length l, h is l² G_ii.
     """
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * diagonal_row(mech.G[0])
@@ -177,8 +188,8 @@ def bar_scale(mech: Mechanism, B: Any) -> Any:
 def _bar_matrix(mech: Mechanism, B: Any) -> Any:
     """Compute the matrix (BᵀB) ∘ G (β×β) of the bar multipliers.
 
-    With different masses along x, y and z, it is Σ over axes of (b bᵀ) ∘ G. It has the sparsity of
-    G.
+    B (3×β) are the bar vectors b, and G = C_b M⁻ C_bᵀ. With different masses along x, y and z, it
+    is Σ over axes of (b bᵀ) ∘ G, where b is one row of B. It has the sparsity of G.
     """
     G = mech.G
     pattern = sp.coo_array(sum(abs(number_nonzeros(g)) for g in G) + sp.eye_array(mech.bars))
@@ -202,7 +213,8 @@ def _joint_matrix(mech: Mechanism, unit: Any) -> Any:
 
     It is (Pᵀ M⁻ P) ⊗ I − Σᵢ (kᵢ kᵢᵀ) ⊗ (uᵢ uᵢᵀ).
 
-    Here kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ. This is Eq. 103 with Eᵀ, made symmetric.
+    Here kᵢ = Pᵀ M⁻ C_bᵢᵀ and uᵢ = bᵢ/√hᵢ. This is Eq. 103 with Eᵀ, made symmetric. `unit` (3×β) has
+    the columns uᵢ.
     """
     c, K, active = (
         mech.joints,

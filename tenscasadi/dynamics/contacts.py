@@ -22,14 +22,22 @@ if TYPE_CHECKING:
 
 
 class TouchingPoints(NamedTuple):
-    """Points in contact with a surface, or with opposite points."""
+    """Points in contact with a surface, or with opposite points.
+
+    `contact` has the penetration depths of the m points and the directions of their normal forces.
+    `points` are the nodes or bar points on which the forces act. `opposite` are the points of the
+    other bars, on which the opposite forces act; None for a ground.
+    """
 
     contact: Contact
     points: NodePoints | BarPoints
     opposite: BarPoints | None = None
 
     def velocities(self, N: Any, V: Any) -> Any:
-        """Compute the relative velocities (3×m) of the touching surfaces [m/s]."""
+        """Compute the relative velocities (3×m) of the touching surfaces [m/s].
+
+        N and V (3×n) are the positions and velocities of all nodes.
+        """
         own = self.points.velocities(N, V)
         return own if self.opposite is None else own - self.opposite.velocities(N, V)
 
@@ -42,8 +50,12 @@ class ContactElement(ForceElement):
     ----------
     surface : Surface or BarContact
         Contact law.
+    structure : Structure
+        Bars and nodes that can touch.
+    mech : Mechanism
+        Columns of the nodes in N (3×n).
     mode : casadi row or None
-        1 for pairs in contact.
+        1 for each pair in contact, else 0. None: the depths determine the contacts.
     """
 
     surface: Any
@@ -52,13 +64,14 @@ class ContactElement(ForceElement):
     mode: Any = None
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Compute the contact points at nodes N (3×n) [m]."""
+        """Compute the contact points for node positions N (3×n) [m]."""
         raise NotImplementedError
 
     def assemble(self, touch: TouchingPoints, N: Any, F: Any) -> Any:
-        """Assemble contact-point forces (3×m) [N] to node forces (3×n).
+        """Convert contact-point forces (3×m) to forces on nodes (3×n) [N].
 
-        Opposite points have the opposite forces.
+        `touch` has the m contact points at the node positions N (3×n), and F (3×m) are their
+        forces. Opposite points have the opposite forces.
         """
         W, columns = touch.points.end_forces(N, F), touch.points.columns
         if touch.opposite is not None:
@@ -67,13 +80,16 @@ class ContactElement(ForceElement):
         return spread(self.mech, W, columns)
 
     def forces(self, at: NodeMotion) -> Any:
-        """Compute the contact forces (3×n) [N]."""
+        """Compute the contact forces (3×n) on nodes [N].
+
+        `at` has the positions and velocities of the nodes.
+        """
         touch = self.locate_contact(at.N)
         V = touch.velocities(at.N, at.V)
         return self.assemble(touch, at.N, compute_forces(self.surface, touch.contact, V, self.mode))
 
     def energy(self, N: Any) -> Any:
-        """Compute the energy of the contact springs [J]."""
+        """Compute the energy of the contact springs at nodes N (3×n) [J]."""
         contact = self.locate_contact(N).contact
         squared = ca.fmax(contact.depth, 0) ** 2
         if contact.weight is not None:
@@ -81,7 +97,10 @@ class ContactElement(ForceElement):
         return self.surface.stiffness * ca.sum2(squared) / 2
 
     def switches(self, at: NodeMotion) -> Any:
-        """Compute functions [m] that are positive in contact."""
+        """Compute switching functions (1×m) [m], positive in contact.
+
+        There is one for each point or pair. `at` has the positions and velocities of the nodes.
+        """
         touch = self.locate_contact(at.N)
         return find_switching(self.surface, touch.contact, touch.velocities(at.N, at.V))
 

@@ -30,7 +30,7 @@ def scene_mechanism(
 ) -> Mechanism:
     """Build the constant matrices of a scene's mechanism.
 
-    Masses may be parameters.
+    Masses may be parameters. For `coordinates` and `bar_length` see `build_mechanism`.
     """
     mechanism = build_mechanism(scene.modelled, coordinates, bar_length)
     layout = scene.modelled._layout if coordinates == "full" else None
@@ -49,7 +49,7 @@ def choose_coordinates(scene: Scene, bar_length: BarLength = "current") -> Coord
     In reduced coordinates (shared nodes) the multipliers of all connected bars are coupled, because
     the inverse mass matrix of a long chain is full. In full coordinates (separate nodes with joint
     constraints) each joint is coupled only to its neighbors. Reduced coordinates are also rejected
-    if they do not support the scene.
+    if they do not support the scene. `bar_length` is that of `build_mechanism`.
     """
     structure = scene.modelled
     if structure.coupled_mass.any() or structure.bodies:
@@ -91,7 +91,9 @@ def build_mechanism(
 ) -> Mechanism:
     """Build the constant matrices of a structure's mechanism.
 
-    `bar_length` selects the length in the denominator of λ̂, current or constant.
+    `coordinates` is "reduced" (bars share nodes) or "full" (each bar has its own nodes, with joint
+    constraints). `bar_length` selects the length in the denominator of the bar multipliers λ̂:
+    "current" or "constant".
     """
     build = _build_reduced if coordinates == "reduced" else _build_full
     return build(structure, bar_length == "constant")
@@ -138,7 +140,9 @@ def _add_auxiliary_columns(
 ) -> tuple[Any, sp.csr_array | None]:
     """Add auxiliary nodes of rigid bodies to the free coordinates.
 
-    Nodes that are combinations of other nodes of their body are not free.
+    `free` (n, 3) flags the free coordinates, and `turn` (3n×3n) converts from roller axes to x, y
+    and z. Nodes that are combinations of other nodes of their body are not free. Returns both with
+    the auxiliary nodes.
     """
     count = len(bodies.hosts)
     free = np.concatenate([free, np.ones((count, 3), dtype=bool)])
@@ -149,7 +153,10 @@ def _add_auxiliary_columns(
 
 
 def _add_bodies(bodies: BodyAssembly, own: dict[str, Any]) -> dict[str, Any]:
-    """Add bodies, as auxiliary nodes and bars, to a mechanism's fields."""
+    """Add bodies, as auxiliary nodes and bars, to a mechanism's fields.
+
+    `own` are fields of a `Mechanism` without bodies, by name. Returns the changed fields.
+    """
     more, size = len(bodies.hosts), len(bodies.nodes)
     widths = {
         name: sp.csr_array(
@@ -218,7 +225,8 @@ def _build_full(structure: Structure, constant_length: bool) -> Mechanism:
 def _split_bars(structure: Structure, C_b: sp.csr_array, ends: Indices) -> dict[str, Any]:
     """Separate rigid from elastic bars.
 
-    C_b is the connectivity (bars × n) of all bars, with the given end columns.
+    C_b is the connectivity (bars × n) of all bars, with the given end columns. Returns fields of
+    `Mechanism`, by name.
     """
     rigid = np.flatnonzero(~structure.elastic)
     return {
@@ -235,7 +243,10 @@ def _has_open_masses(scene: Scene) -> bool:
 
 
 def _count_operations(mech: Mechanism) -> int:
-    """Count the multiplications for the multipliers and for M⁻."""
+    """Count the multiplications for the multipliers and for M⁻.
+
+    `mech` has the coordinates whose cost is estimated.
+    """
     if not mech.system_size:
         return 0
     B = mech.bar_vectors(ca.DM(mech.N))
@@ -259,7 +270,9 @@ def _build_local_coordinates(structure: Structure) -> tuple[Any, sp.csr_array]:
 def _invert_masses(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_array, ...]:
     """Compute the inverse mass matrix M⁻ for inclined rollers.
 
-    It has a block (n, n) for each pair of axes.
+    M (n×n) is the mass matrix of the nodes, `turn` (3n×3n) converts from roller axes to x, y and z,
+    and `index` are the free coordinates among them. Returns nine blocks (n×n), one for each pair of
+    axes.
     """
     free = sp.csr_array(turn[:, index])
     inner = block_inverse(free_mass_matrix(M, turn, index), np.ones(len(index), bool))
@@ -268,6 +281,9 @@ def _invert_masses(M: Any, turn: sp.csr_array, index: Indices) -> tuple[sp.csr_a
 
 
 def _frame(normals: Normals) -> Array:
-    """Complete orthonormal directions to a basis, as columns."""
+    """Complete orthonormal vectors to a basis (3×3), as columns.
+
+    `normals` are one or two vectors normal to the plane or line of a roller.
+    """
     directions = np.array(normals)
     return np.column_stack([*directions, *np.linalg.svd(directions)[2][len(directions) :]])

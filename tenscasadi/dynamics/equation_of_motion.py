@@ -62,9 +62,10 @@ def _assemble(
 ) -> tuple[Any, ...]:
     """Compute forces F, bar vectors B, and the multipliers' linear system.
 
-    Nodes N and velocities V are 3×n; for `mode` see `forward_dynamics`. Returns F, B, the residuals
-    r (1×β) of ḃᵀḃ + bᵀb̈ = 0 without constraint forces, and matrix and right-hand side of the
-    system, if it has unknowns.
+    N and V (3×n) are node positions and velocities, and u is the stacked input. `space` and `mode`
+    are those of `forward_dynamics`, and `mech` has the masses in u. Returns F (3×n), B (3×β), and
+    the residuals r (1×β) of ḃᵀḃ + bᵀb̈ = 0 without constraint forces. Matrix and right-hand side of
+    the system follow if it has unknowns.
     """
     F, moved = compute_forces(space, N, V, u, time, mode, mech)  # 3×n, Eq. 67
     B, Bd = mech.bar_vectors(N), mech.bar_vectors(V)  # 3×β
@@ -82,7 +83,8 @@ def _recover(
 ) -> tuple[Any, ...]:
     """Compute N̈, λ and Ω from the solution of the linear system.
 
-    F, B and r are the results of `_assemble`.
+    `mech`, F, B and r are those of `_assemble`, whose linear system has this `solution`. `space` is
+    that of `forward_dynamics`.
     """
     lam, Omega = recover_multipliers(mech, B, r, solution)  # 1×β, Eq. 87; 3×c, Eq. 103
     return _accelerations(space, mech, F, B, lam, Omega, time), lam, Omega
@@ -91,7 +93,11 @@ def _recover(
 def _accelerations(
     space: StateSpace, mech: Mechanism, F: Any, B: Any, lam: Any, Omega: Any, time: Any
 ) -> Any:
-    """Compute the accelerations N̈ (3×n) from the multipliers, Eqs. 85-86."""
+    """Compute the accelerations N̈ (3×n) from the multipliers, Eqs. 85-86.
+
+    F (3×n) are the applied forces, B (3×β) the bar vectors, `lam` is λ (1×β) and `Omega` is Ω
+    (3×c). `space` has the accelerations of moving supports.
+    """
     return mech.with_inverse(F + nodal_forces(mech, B, lam, Omega)) + space.support_accelerations(
         time
     )
@@ -108,9 +114,10 @@ def compute_forces(
 ) -> tuple[Any, Any]:
     """Compute applied forces F (3×n) [N] and support accelerations.
 
-    F are the forces of strings and loads minus the inertia of moving supports. Their accelerations
-    are 3×n [m/s²]. F M⁻ plus these are the accelerations without constraints. `mode` is that of
-    `forward_dynamics`, and `mech` the mechanism with the masses of u, if it is known.
+    F are the forces of strings and loads minus the inertia of moving supports. The support
+    accelerations are 3×n [m/s²]. The accelerations without constraints are F M⁻ plus these. The
+    other arguments are those of `forward_dynamics`. `mech` is the mechanism with the masses of u,
+    if it is known.
     """
     moved, mech = space.support_accelerations(time), mech or space.with_masses(u, inverse=False)
     u = space.add_schedule(u, time)
@@ -121,10 +128,11 @@ def compute_forces(
 def joint_forces(
     space: StateSpace, full: Mechanism, N: Any, V: Any, A: Any, lam: Any, u: Any, time: Any
 ) -> Any:
-    """Compute joint forces Ω (3×c) in reduced coordinates.
+    """Compute joint forces Ω (3×c) [N] in reduced coordinates.
 
-    They are those of Eq. 85 for the given accelerations A of nodes that bars do not share (class
-    one). `full` is the mechanism in full coordinates.
+    They follow from the force balance of separate bars, Eq. 85. N, V and A (3×n) are positions,
+    velocities and accelerations of the shared nodes, `lam` is λ (1×β), and u is the stacked input.
+    `space` has the scene, and `full` the mechanism in full coordinates, with joints.
     """
     if not full.joints:
         return ca.DM.zeros(3, 0)

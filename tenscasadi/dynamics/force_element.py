@@ -11,7 +11,10 @@ if TYPE_CHECKING:
 
 
 class NodeMotion(NamedTuple):
-    """Positions N, velocities V (3×n) and time of nodes."""
+    """Motion of the nodes at an instant.
+
+    N and V (3×n) are positions [m] and velocities [m/s], and `time` is in s.
+    """
 
     N: Any  # 3×n [m]
     V: Any  # 3×n [m/s]
@@ -41,13 +44,13 @@ class ForceElement:
         raise NotImplementedError
 
     def energy(self, N: Any) -> Any:
-        """Compute the potential energy [J]."""
+        """Compute the potential energy [J] at node positions N (3×n)."""
         return ca.DM(0)
 
     def power(self, at: NodeMotion, stored: bool) -> Any:
         """Compute the power of the forces [W].
 
-        If `stored`, the rate of change of `energy` is excluded.
+        `at` is that of `forces`. If `stored`, the rate of change of `energy` is excluded.
         """
         power = ca.sum2(ca.sum1(self.forces(at) * at.V))
         if not stored:
@@ -63,13 +66,17 @@ class ForceElement:
         return ca.DM(1, 0)
 
     def margins(self, at: NodeMotion) -> Any:
-        """Compute the elongations (1×m) [m] of members until they break."""
+        """Compute the elongations (1×m) [m] of members until they break.
+
+        There is one for each of the m breakable members. `at` is that of `forces`.
+        """
         return ca.DM(1, 0)
 
     def internal_rates(self, at: NodeMotion) -> Any:
         """Compute time derivatives of the element's internal states.
 
-        They form a column. Internal states are, for example, rest lengths of winches.
+        They form a column. Internal states are, for example, rest lengths of winches. `at` is that
+        of `forces`.
         """
         return ca.DM(0, 1)
 
@@ -79,7 +86,11 @@ class ForceElement:
 
 
 def spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Build node forces (3×n) from forces (3×m) on some nodes."""
+    """Add forces W (3×m) on some nodes to a matrix (3×n) of all nodes.
+
+    `columns` are the m nodes as columns of N, which may repeat, and `mech` has the number n of
+    columns.
+    """
     count, n = len(columns), mech.N.shape[1]
     if columns == list(range(n)):
         return W

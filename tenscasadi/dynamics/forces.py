@@ -92,6 +92,7 @@ def internal_rates(elements: list[ForceElement], at: NodeMotion) -> Any:
     """Compute the time derivatives (na,) of all internal states.
 
     Internal states are, for example, rest lengths of winches. They are in the order of elements.
+    `at` has positions, velocities and time.
     """
     return ca.vertcat(*(element.internal_rates(at) for element in elements))
 
@@ -104,14 +105,17 @@ def sum_forces(elements: list[ForceElement], mech: Mechanism, at: NodeMotion) ->
 def total(
     scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any, time: Any, mode: Any = None
 ) -> Any:
-    """Compute the sum F (3×n) of all forces of a scene [N]."""
+    """Compute the sum F (3×n) of all forces of a scene [N].
+
+    N and V (3×n) are node positions and velocities; for the others see `build_elements`.
+    """
     return sum_forces(build_elements(scene, mech, w, mode), mech, NodeMotion(N, V, time))
 
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any, Any]:
-    """Compute elastic and gravity energy [J].
+    """Compute elastic and gravity energy [J] at node positions N (3×n).
 
-    The elastic energy is that of strings, bars and grounds.
+    The elastic energy is that of strings, bars and contacts. For `mech` and w see `build_elements`.
     """
     elastic = gravity = ca.DM(0)
     for element in build_elements(scene, mech, w):
@@ -131,7 +135,8 @@ def string_force_density(scene: Scene, mech: Mechanism, N: Any, V: Any, w: Any) 
 def bar_force_density(scene: Scene, mech: Mechanism, N: Any, w: Any, lam: Any) -> Any:
     """Compute λ (1×bars) of rigid and elastic bars [N/m].
 
-    It is positive in compression. The massless bars that represent rigid bodies are omitted.
+    It is positive in compression. `lam` is λ of rigid bars and bodies, N (3×n) are node positions;
+    for w see `build_elements`. The massless bars that represent rigid bodies are omitted.
     """
     lam = lam[:, : mech.bars - len(mech.body_of_bar)]
     if not mech.C_e.shape[0]:
@@ -346,10 +351,10 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute c sᵀṡ (1×m) of damped strings (Eq. 98).
+        """Compute the damping terms c sᵀṡ (1×m) [N·m] of strings (Eq. 98).
 
-        c is the damping and s the vector of a string or the length of a cable. Returns None without
-        damping.
+        c is the damping and s the vector (column of S) of a string, or the length of a cable. V are
+        node velocities (3×n). Returns None without damping.
         """
         if not self.damped or not is_damped(self.scene):
             return None
@@ -376,9 +381,11 @@ class StringForces(ForceElement):
     def _by_law(
         self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
     ) -> Any:
-        """Evaluate a function for each string law, and join the results.
+        """Call `evaluate` for each string law, and join the results as a row.
 
-        If `switching`, only laws with slack are evaluated.
+        Its arguments are the law and its strings; their squared lengths, rest lengths, stiffness,
+        typical lengths; and `rate` (c sᵀṡ) or None. If `switching`, only laws with slack are
+        evaluated.
         """
         s, laws = self._inputs, self.scene.input_laws
         if self._cables is not None:

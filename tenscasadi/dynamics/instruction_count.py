@@ -44,7 +44,11 @@ def count_instructions(function: ca.Function) -> int:
 
 
 def count_terms(space: StateSpace, ode: ca.Function, advice: str) -> TermCounts:
-    """Count the instructions of each term of the right-hand side."""
+    """Count the instructions of each term of the right-hand side.
+
+    `space` is the model without its Functions, `ode` its right-hand side, and `advice` the
+    recommendation that the result shows.
+    """
     scene = space.scene
     x, u = space.symbols(not space.mechanism.large)
     mech = space.with_masses(u, inverse=False)

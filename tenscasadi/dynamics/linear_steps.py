@@ -38,8 +38,9 @@ def transitions(
 ) -> tuple[Array, Array]:
     """Compute state-transition and input matrices of K time spans.
 
-    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), each from `substeps` linear steps. The
-    arguments of these steps are those of `linear_steps`. The control is constant in a span.
+    They are ∂x⁺/∂x (K, nx, nx) and ∂x⁺/∂u (K, nx, nu), with the state x⁺ at the end of a span. Each
+    span consists of `substeps` linear steps, whose arguments are those of `linear_steps` for K ·
+    substeps intervals. The control is constant in a span.
     """
     nx = model.nx
     steps = np.array(
@@ -54,11 +55,12 @@ def transitions(
 def riccati_gains(
     A: Array, B: Array, Z: Sequence[Array], C: Sequence[Array], P: Array, R: Array
 ) -> Array:
-    """Compute LQR gains (K, α, nx) by the Riccati recursion.
+    """Compute LQR gains (K, nu, nx) by the Riccati recursion.
 
-    They minimize Σ |C Zᵀδx|² + δuᵀ R δu plus the terminal cost P. A, B (K, ·, ·) are the steps, Z
-    (K + 1) bases of the admissible changes of a state, and C (K + 1) weighted outputs in these
-    bases.
+    The gains map state deviations δx to control corrections. They minimize Σ |C Zᵀδx|² + δuᵀ R δu
+    plus the terminal cost P over K steps δx⁺ = A δx + B δu. A is (K, nx, nx) and B (K, nx, nu). Z
+    (K + 1 matrices) are bases of the admissible state deviations, and C are weighted output
+    matrices in these bases. P is in the last basis.
     """
     gains = np.zeros((len(A), B.shape[2], A.shape[1]))
     for k in reversed(range(len(A))):

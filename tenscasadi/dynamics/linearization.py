@@ -1,6 +1,8 @@
 """First derivatives of the equations of motion.
 
-The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0.
+The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0. q are the free node coordinates, M is their mass
+matrix, F are the forces along them, J is the Jacobian of the constraints' rates, and μ are their
+multipliers. c is the drift of the constraints in the equation, and their number in shapes.
 """
 
 from __future__ import annotations
@@ -60,9 +62,9 @@ class LinearDynamics:
     internal: Array
 
     def tangent(self, k: int, changes: Array) -> Array:
-        """Compute changes (nx, m) of ẋ for changes of state and input.
+        """Compute changes (nx, m) of ẋ due to changes of state and input.
 
-        The latter are (nx + nw, m).
+        The m `changes` (nx + nw, m) are those of the state x and the input w = (u, p), at state k.
         """
         nq, result = self.model.nq, np.zeros((self.model.nx, changes.shape[1]))
         self.pattern.data = self.slopes[k]
@@ -75,9 +77,10 @@ class LinearDynamics:
         return result
 
     def adjoint(self, k: int, weights: Array) -> Array:
-        """Compute gradients (nx + nw, m) of weightsᵀ ẋ.
+        """Compute gradients (nx + nw, m) of weightsᵀ ẋ at state k.
 
-        They are with respect to state and input. The weights are (nx, m).
+        They are with respect to the state x and the input w = (u, p). The m columns of `weights`
+        (nx, m) are weights of ẋ.
         """
         nq, forces = self.model.nq, weights[self.model.nq : 2 * self.model.nq]
         back = self.inverse[k] @ (self.weighted[k] @ forces)
@@ -90,9 +93,9 @@ class LinearDynamics:
         return np.asarray(result)
 
     def jacobian(self, k: int) -> Array:
-        """Compute the Jacobian (nx, nx + nw) of ẋ.
+        """Compute the Jacobian (nx, nx + nw) of ẋ at state k.
 
-        The derivatives are with respect to state and input.
+        The derivatives are with respect to the state x and the input w = (u, p).
         """
         return self.adjoint(k, np.eye(self.model.nx)).T
 
@@ -108,7 +111,8 @@ class EquationDerivatives:
     """Equations of motion of a model and their first derivatives.
 
     The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0. The system of the multipliers μ is solved in
-    numbers, because expressions of the derivatives of accelerations would be dense.
+    numbers, because expressions of the derivatives of accelerations would be dense. For the symbols
+    see the top of the module.
     """
 
     def __init__(self, model: Model) -> None:
@@ -154,7 +158,10 @@ class EquationDerivatives:
         return model.keep("equation derivatives", lambda: EquationDerivatives(model))
 
     def at(self, states: Array, controls: Array, parameters: Any = None) -> LinearDynamics:
-        """Linearize at states (K, nx) with controls (K, nu)."""
+        """Linearize at states (K, nx) with controls (K, nu).
+
+        `parameters` are those of `Model.multipliers`; nominal if None.
+        """
         K, nq, c = len(states), self.model.nq, self.constraints
         p = self.model.parameters.values(parameters)
         inputs = np.column_stack([controls, np.tile(p, (K, 1))])
@@ -185,9 +192,10 @@ class EquationDerivatives:
         )
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
-        """Compute M, J, F and c at a state with inputs.
+        """Compute M, J, F and c of the equations at a state (nx,).
 
-        M and J are sparse.
+        The shapes are (nq, nq), (c, nq), (nq,) and (c,); M and J are sparse. `inputs` (nw,) are the
+        control followed by the parameters.
         """
         values = self._values(state, inputs)
         force, bias, _, entries = (value.full().ravel() for value in values)
@@ -197,22 +205,24 @@ class EquationDerivatives:
     def slopes_at(self, state: Array, inputs: Array, mu: Array, accelerations: Array) -> Any:
         """Compute the sparse Jacobian of the equations at constant q̈ and μ.
 
-        It is the derivative (nq + c, nx + nw) of F + Jᵀ μ − M q̈ and J q̈ + c.
+        It is the derivative (nq + c, nx + nw) of F + Jᵀ μ − M q̈ and J q̈ + c with respect to state
+        and inputs. `inputs` (nw,) are the control followed by the parameters, `mu` is μ (c,), and
+        `accelerations` are q̈ (nq,).
         """
         pattern = self._pattern.copy()
         pattern.data = self._slopes(state, inputs, mu, accelerations).full().ravel()
         return sp.csc_array(pattern.T)
 
     def mass(self, p: Array) -> Any:
-        """Compute the sparse mass matrix (nq, nq) [kg]."""
+        """Compute the sparse mass matrix (nq, nq) [kg] for parameters p (np,)."""
         w = ca.DM(np.append(np.zeros(self.model.nu), p))
         M = self.model.with_masses(w, inverse=False).free_mass
         return sp.csc_array(M.sparse() if is_expression(M) else M)
 
     def _inverse_mass(self, p: Array) -> Any:
-        """Invert the mass matrix.
+        """Invert the mass matrix for parameters p (np,).
 
-        The inverse is dense if sparse products would be slower.
+        The inverse (nq, nq) [1/kg] is dense if sparse products would be slower.
         """
         if self._constant_inverse is not None:
             return self._constant_inverse
@@ -229,7 +239,9 @@ class EquationDerivatives:
 def tangents(model: Model, state: Array) -> Array:
     """Compute an orthonormal basis (nx, d) of admissible state changes.
 
-    They satisfy the constraints of bars and joints, and do not change the clock.
+    They satisfy the constraints of bars and joints, and do not change the clock. `state` (nx,) is
+    the state at which the constraints are linearized; d is the number of degrees of freedom of the
+    tangent space.
     """
     return _free_directions(_constraint_jacobian(model, state))
 
@@ -237,21 +249,25 @@ def tangents(model: Model, state: Array) -> Array:
 def displacements(model: Model, state: Array) -> Array:
     """Compute an orthonormal basis (nq, d) of admissible displacements.
 
-    They satisfy the constraints of bars and joints.
+    To first order at `state` (nx,), these d displacements satisfy the constraints of bars and
+    joints.
     """
     count = model.mechanism.bars + int(model.mechanism.active.sum())
     return _free_directions(_constraint_jacobian(model, state)[:count, : model.nq])
 
 
 def _free_directions(J: Array) -> Array:
-    """Compute the null space of constraints with redundant rows."""
+    """Compute an orthonormal basis of the null space of a Jacobian J.
+
+    J has one row for each constraint; rows may be redundant. The basis vectors are columns.
+    """
     return null_space(J, 1e-9 * float(np.linalg.norm(J)))
 
 
 def _constraint_jacobian(model: Model, state: Array) -> Array:
     """Compute the Jacobian of all constraints with respect to the state.
 
-    Its rows are bars, joints, their rates, and the clock.
+    Its rows are bars, joints, their rates, and the clock. `state` is (nx,).
     """
 
     def build() -> ca.Function:
@@ -266,14 +282,19 @@ def _constraint_jacobian(model: Model, state: Array) -> Array:
 
 
 def _symbol_kind(model: Model) -> Any:
-    """Return SX, or MX if functions of time need it."""
+    """Return the type of CasADi symbols for a model's expressions.
+
+    It is SX (scalars), or MX (matrices) if functions of time need that.
+    """
     return ca.SX if not model.has_clock or model.ode.is_a("SXFunction") else ca.MX
 
 
 def _compute_length_error(model: Model, N: Any, w: Any) -> Any:
-    """Compute (bᵀb − l²)/l² · diag(G), or 0.
+    """Compute (bᵀb − l²)/l² · diag(G) (c×1), zero unless lengths are constant.
 
-    It is the error of the bar constraints if λ̂ is computed with constant lengths.
+    It is the error of the bar constraints if λ̂ is computed with constant lengths l instead of
+    those of the bar vectors b. G is C_b M⁻ C_bᵀ. N (3×n) are node positions, and w is the stacked
+    input with the masses. Entries of joints are 0.
     """
     mech, count = model.mechanism, model.mechanism.bars
     none = type(N).zeros(int(mech.active.sum()), 1)

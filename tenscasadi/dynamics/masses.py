@@ -48,7 +48,10 @@ class Masses(ReadOnlyArrays):
     spread: sp.csr_array | None = None
 
     def weigh(self, p: Any) -> Any:
-        """Compute the nonzeros of M and M⁻ for parameters p, as a column."""
+        """Compute the nonzeros of M and M⁻ as one column.
+
+        p (np) are the parameters, a CasADi column.
+        """
         entries = self.entries.expression(p, full=True)
         inverse = self._unrolled if isinstance(p, ca.SX) else self._inverse
         return ca.vertcat(entries, *inverse.call([entries]))
@@ -56,7 +59,8 @@ class Masses(ReadOnlyArrays):
     def matrices(self, weights: Any) -> tuple[Any, tuple[Any, ...]]:
         """Build M and M⁻ (n×n) from their nonzeros.
 
-        There is one M⁻ for all axes or one for each.
+        `weights` is the column of nonzeros from `weigh`. There is one M⁻ for all axes or one for
+        each.
         """
         patterns = [self.pattern, *self.patterns]
         parts = ca.vertsplit(weights, np.cumsum([0, *(part.nnz() for part in patterns)]).tolist())
@@ -82,7 +86,10 @@ class Masses(ReadOnlyArrays):
         return found
 
     def _expand(self, inner: sp.csr_array) -> sp.csr_array:
-        """Find the sparsity of S M⁻ Sᵀ from that of M⁻."""
+        """Find the sparsity of S M⁻ Sᵀ from that of M⁻.
+
+        `inner` (n, n) has the nonzeros of M⁻ of independent nodes, and S is `spread`.
+        """
         weights = abs(sp.csr_array(self.spread)).sign()
         return sp.csr_array(weights @ inner @ weights.T)
 
@@ -133,7 +140,8 @@ class Masses(ReadOnlyArrays):
 def _invert(block: Any, held: Array) -> Any:
     """Invert a symmetric positive definite block of M.
 
-    The inverse of a single pinned node is given by `held`.
+    The inverse of a single pinned node is given by `held`. `held` (k,) has the constant inverse
+    masses of the k nodes of the block [1/kg], 0 if they can move.
     """
     n = block.shape[0]
     if n == 1:
@@ -215,7 +223,10 @@ def read_masses(
 
 
 class _BodyEntries(NamedTuple):
-    """Nonzeros of the mass matrix of rigid bodies."""
+    """Nonzeros of the mass matrix of rigid bodies.
+
+    `row` and `column` are their node columns, and `values` their dependence on the parameters [kg].
+    """
 
     row: Indices
     column: Indices
@@ -225,7 +236,9 @@ class _BodyEntries(NamedTuple):
 def _body_masses(scene: Any, bodies: BodyAssembly) -> _BodyEntries:
     """Compute the nonzeros of the mass matrix of rigid bodies.
 
-    They are linear in the masses and moments of inertia, m w wᵀ + W (½ tr(I) E − I) Wᵀ.
+    They are linear in the masses and moments of inertia, m w wᵀ + W (½ tr(I) E − I) Wᵀ. w and W are
+    the weights of the nodes for the center of mass and the axes, I is the inertia, and E the
+    identity. `bodies` has these maps.
     """
     own = scene.layout.quantities.keys() & set(BODIES)
     if not own:

@@ -168,7 +168,10 @@ class Mechanism(ReadOnlyArrays):
         return vector if self.turn is None else _rotate(self.turn.T, vector)
 
     def world(self, vector: Any) -> Any:
-        """Convert vectors from roller coordinates to x, y, z."""
+        """Convert vectors from roller coordinates to x, y, z.
+
+        It is the inverse of `local`, for the same shapes.
+        """
         return vector if self.turn is None else _rotate(self.turn, vector)
 
     @property
@@ -178,18 +181,22 @@ class Mechanism(ReadOnlyArrays):
         return np.zeros(n, bool) if self.spread is None else self.spread.diagonal() == 0.0
 
     def expand(self, Z: Any) -> Any:
-        """Set dependent nodes in positions or velocities (3×n).
+        """Compute dependent columns of node positions or velocities Z (3×n).
 
-        Dependent nodes of a rigid body are affine combinations of others.
+        Dependent nodes of a rigid body are affine combinations of others. Returns Z with these
+        columns replaced.
         """
         return Z if self.spread is None else ca.mtimes(Z, sparse(self.spread.T))
 
     def gather(self, F: Any) -> Any:
-        """Move forces (3×n) from dependent to independent nodes."""
+        """Transfer forces F (3×n) from dependent to independent nodes.
+
+        The result (3×n) has the same power, and zero forces on dependent nodes.
+        """
         return F if self.spread is None else ca.mtimes(F, sparse(self.spread))
 
     def generalized_forces(self, F: Any) -> Any:
-        """Convert forces on nodes (3×n) to generalized forces (nq).
+        """Convert forces F on nodes (3×n) to generalized forces (nq).
 
         They are forces along the free coordinates.
         """
@@ -257,14 +264,15 @@ class Mechanism(ReadOnlyArrays):
     def bar_vectors(self, Z: Any) -> Any:
         """Compute Z C_bᵀ (3×β): bar vectors, or their rates.
 
-        They are B if Z is N, and Ḃ if Z is V.
+        Z (3×n) are node positions N for the vectors B, or velocities V for the rates Ḃ.
         """
         return ca.mtimes(Z, sparse(self.C_b.T))
 
     def with_inverse(self, X: Any, then: Any = None) -> Any:
         """Compute X M⁻ (3×n), or X M⁻ `then`.
 
-        `then` is a constant matrix of n rows.
+        X (3×n) are, for instance, forces on nodes, and X M⁻ their accelerations. `then` is a
+        constant matrix of n rows, such as C_bᵀ.
         """
         factors = [
             sparse(inverse if then is None else product(inverse, then)) for inverse in self.inverse
@@ -281,7 +289,11 @@ class Mechanism(ReadOnlyArrays):
         )
 
     def join_bars(self, rigid: Any, elastic: Any) -> Any:
-        """Join values of rigid and elastic bars in the order of all bars."""
+        """Join values of rigid and elastic bars in the order of all bars.
+
+        `rigid` is 1×β, `elastic` has one column for each elastic bar, and the result one for each
+        bar.
+        """
         if not self.C_e.shape[0]:
             return rigid
         order = np.argsort(np.concatenate([self.rigid, self.elastic]))
@@ -329,7 +341,7 @@ def free_mass_matrix(M: Any, turn: Any, index: Indices) -> sp.csr_array:
     """Compute the mass matrix of the free local coordinates.
 
     They are the entries `index` of node coordinates, after the rotation `turn` (None for none). M
-    (n×n) is the mass matrix of the nodes.
+    (n×n) is the mass matrix of the nodes. The result is (nq, nq) for nq entries.
     """
     wide = sp.csr_array(sp.kron(M, sp.eye_array(3)))
     return sp.csr_array(wide if turn is None else turn.T @ wide @ turn)[index][:, index]

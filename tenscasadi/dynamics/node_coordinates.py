@@ -159,7 +159,10 @@ class NodeCoordinates(BaseModel):
         return found
 
     def _check_supports(self, positions: Array, speeds: Array) -> None:
-        """Check that nodes and velocities (n, 3) satisfy the supports."""
+        """Check that nodes and velocities (n, 3) satisfy the supports.
+
+        `positions` [m] and `speeds` [m/s] are those of all nodes. Raises ValueError.
+        """
         structure, fixed = self.structure, self.structure.fixed.copy()
         fixed[self._moved] = False
         size = measure_extent(structure.nodes)
@@ -182,7 +185,10 @@ class NodeCoordinates(BaseModel):
                     )
 
     def _check_dependent_nodes(self, positions: Array, speeds: Array) -> None:
-        """Check that nodes of rigid bodies move with their body."""
+        """Check that nodes of rigid bodies move with their body.
+
+        `positions` [m] and `speeds` [m/s] are (n, 3). Raises ValueError.
+        """
         if self.mechanism.spread is None:
             return
         size = measure_extent(self.structure.nodes)
@@ -244,7 +250,7 @@ class NodeCoordinates(BaseModel):
     def unpack(self, x: Any) -> tuple[Any, Any, Any]:
         """Compute N, V (3×n) and the time of a symbolic state.
 
-        Columns are those of `mechanism`.
+        Columns are those of `mechanism`. x is a CasADi column (nx).
         """
         start, (q, v, _, clock) = self.mechanism.N.T, self.split(x)
         time = clock if self.has_clock else 0
@@ -256,7 +262,8 @@ class NodeCoordinates(BaseModel):
     def targets(self, time: Any) -> tuple[Any, Any, Any]:
         """Compute D of the joint constraints N P = D, with Ḋ and D̈ (3×c).
 
-        Units are m, m/s and m/s². In full coordinates they include moving supports.
+        They are the prescribed positions [m], velocities [m/s] and accelerations [m/s²] of joints
+        at a time [s]. In full coordinates they include moving supports.
         """
         mech = self.mechanism
         still = ca.DM.zeros(*mech.D.shape)
@@ -289,8 +296,9 @@ class NodeCoordinates(BaseModel):
     def pack(self, upper: Any, lower: Any, internal: Any, clock: Any) -> Any:
         """Build a state from two matrices (3×n), internal states and clock.
 
-        It is the inverse of `unpack`, also for rates of change. The internal states are ignored if
-        the model has none.
+        `upper` are node positions and `lower` velocities, so it is the inverse of `unpack`. For
+        time derivatives of a state, they are velocities and accelerations. The internal states are
+        ignored if the model has none.
         """
         free = self._free.tolist()
         parts = [
@@ -351,7 +359,10 @@ class NodeCoordinates(BaseModel):
 
 
 def check_column(name: str, value: Any, size: int) -> Any:
-    """Check a CasADi column, or convert an array (size,)."""
+    """Check a CasADi column, or convert an array (size,).
+
+    `name` is that of the value in messages. Raises TypeError, ValueError.
+    """
     if not isinstance(value, (ca.SX, ca.MX)):
         return ca.DM(finite_array(name, value, (size,)))
     if value.shape != (size, 1):

@@ -195,7 +195,8 @@ class Observations(StateSpace):
     def internal_rates(self, x: Any, w: Any, mode: Any = None) -> Any:
         """Compute the time derivatives (na,) of the internal states.
 
-        The state is x, the stacked input w. `mode` is that of `forces.build_elements`.
+        x (nx) is the state, and w (nw) the stacked input, control and parameters. `mode` is that of
+        `forces.build_elements`.
         """
         if not self.na:
             return ca.DM(0, 1)
@@ -210,7 +211,7 @@ class Observations(StateSpace):
         """Compute the power [W] due to changes of the internal states.
 
         It is their contribution to the rate of the kinetic energy and, if `stored`, of the
-        potential energy.
+        potential energy. The arguments are those of `internal_rates`.
         """
         if not self.na:
             return ca.DM(0)

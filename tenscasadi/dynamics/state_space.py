@@ -212,7 +212,7 @@ class StateSpace(NodeCoordinates):
     def add_schedule(self, w: Any, time: Any) -> Any:
         """Add the scheduled control to the stacked input w.
 
-        Internal states may follow in w.
+        Internal states may follow in w. `time` is the clock [s].
         """
         if self.schedule is None:
             return w
@@ -276,7 +276,7 @@ class StateSpace(NodeCoordinates):
     ) -> ca.Function:
         """Build a Function with public inputs from expressions of x and w.
 
-        The inputs are (x, u), or (x, u, p) with parameters.
+        The inputs are (x, u), or (x, u, p) with parameters. `names` are those of the outputs.
         """
         if not self.np:
             return ca.Function(name, [x, w], outputs, ["x", "u"], names)
