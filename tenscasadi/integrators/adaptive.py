@@ -30,7 +30,10 @@ MAX_INTERPOLATIONS = 6  # trials in a bracket before bisection
 
 
 class Memory(NamedTuple):
-    """State of the step-size control between trial steps."""
+    """State of the step-size control between trial steps.
+
+    A bracket is the pair `low`, `high` of step lengths between which a step meets its first event.
+    """
 
     rest: Any  # time left in the grid step, s
     step: Any  # next trial step, s
@@ -48,7 +51,8 @@ class Memory(NamedTuple):
 class StepTolerances(NamedTuple):
     """Tolerances of the step-size control.
 
-    They are inputs, so one compiled Function serves all tolerances.
+    An error of a state entry of size |x| may be `atol` + `rtol` |x|. They are inputs, so one
+    compiled Function serves all tolerances.
     """
 
     longest: Any  # largest step, s
@@ -72,12 +76,14 @@ class Events(NamedTuple):
 class ErrorControl(NamedTuple):
     """CasADi Functions that form a trial step with error control.
 
-    - ode (z, v) → ż, with v = (u, modes)
-    - prepare (z, memory, u) → (length, v)
+    - ode (z, v) → ż, the equations of motion, with v = (u, modes)
+    - prepare (z, memory, u) → (length, v) of the next trial step
     - decide (z, memory, u, limits, length, v, z after, errors, slope, slope after) → (z, memory)
+      after the step is accepted or rejected
 
-    The columns memory and limits hold a `Memory` and `StepTolerances`. Modes are 1 for taut strings
-    and contacts, else 0.
+    z is the state, followed by the energy supplied if it is computed, and u the control with the
+    parameters. The columns memory and limits hold a `Memory` and `StepTolerances`. Modes are 1 for
+    taut strings and contacts, else 0. Slopes are ż.
     """
 
     ode: ca.Function
@@ -88,8 +94,9 @@ class ErrorControl(NamedTuple):
 def build_attempt(control: ErrorControl, tableau: Tableau) -> ca.Function:
     """Build one trial step.
 
-    Function "attempt" (z, memory, u, limits) → (z, memory). `control` are the Functions of
-    `build_control`, and `tableau` has the coefficients of the Runge-Kutta method.
+    Function "attempt" (z, memory, u, limits) → (z, memory), with the arguments of `ErrorControl`.
+    `control` are the Functions of `build_control`, and `tableau` has the coefficients of the
+    Runge-Kutta method.
     """
     decide = control.decide
     arguments: Any = [ca.MX.sym(decide.name_in(i), *decide.size_in(i)) for i in range(4)]
@@ -104,7 +111,8 @@ def build_control(
 ) -> ErrorControl:
     """Build the Functions of a model's trial steps.
 
-    With `power`, z has one more entry, the energy supplied [J].
+    `scheme` is the Runge-Kutta method, and `correction` corrects bars and joints after each step,
+    if given. With `power`, z has one more entry, the energy supplied [J].
     """
     gaps = build_events(model)
     if gaps is not None:
@@ -180,7 +188,8 @@ def _build_decision(
 def _norm(errors: list[Any]) -> Any:
     """Compute the scaled error norm of a step.
 
-    For one error estimate it is the root mean square. For two it is Hairer's combination in DOP853.
+    `errors` has one or two error estimates (n), whose entries are divided by their tolerances. For
+    one it is the root mean square. For two it is Hairer's combination in DOP853.
     """
     squared = [ca.sumsqr(error) for error in errors]
     n = max(errors[0].shape[0], 1)
@@ -225,8 +234,9 @@ def _find_events(
 def _break_strings(model: Model, z: Any, u: Any, power: bool) -> tuple[Any, Any]:
     """Mark strings that are overloaded at the start of a step as broken.
 
-    u is the control and the parameters. With `power`, the last entry of z is the energy supplied.
-    Returns a flag that there are such strings, None if no string can break, and z after the change.
+    z is the state, and u the control with the parameters. With `power`, the last entry of z is the
+    energy supplied. Returns a flag that there are such strings, None if no string can break, and z
+    after the change.
     """
     if not count_breakable(model):
         return None, z
@@ -245,10 +255,10 @@ def _decide(
 ) -> tuple[Any, Any]:
     """Accept or reject a trial step, and choose the next length.
 
-    `m` is the state of the step-size control. The trial step has the length `trial` [s] and the
-    scaled error norm `error` of a method of this order. Steps are at most `longest` s. Steps from
-    an `overloaded` start are repeated from the start with broken strings. Returns whether the step
-    is repeated, and the new state of the step-size control.
+    `m` is the state of the step-size control. The trial step has the length `trial` [s], the
+    `events` within it, and the scaled error norm `error` of a method of this `order`. Steps are at
+    most `longest` s. Steps from an `overloaded` start are repeated from the start with broken
+    strings. Returns whether the step is repeated, and the new state of the step-size control.
     """
     # Step-size factor of Hairer, Nørsett, Wanner I, (II.4.13).
     growth = ca.fmin(8.0, ca.fmax(0.2, 0.9 * ca.fmax(error, 1e-300) ** (-1 / order)))

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
 def split_at_breaks(step: ca.Function, model: Model) -> ca.Function:
     """Build a step that is divided where strings break.
 
-    Function (z, u, h, …) → z_next, as `step`, which is returned if no string can break. A step
-    without a break costs two more evaluations of the margins to failure.
+    `step` is a Function (z, u, h, …) → z_next of a scheme: z is the state of `model`, u the control
+    with the parameters, and h the length [s]. The result has the same form, and is `step` if no
+    string can break. A step without a break costs two more evaluations of the margins to failure.
     """
     if not count_breakable(model):
         return step

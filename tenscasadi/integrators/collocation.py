@@ -116,7 +116,8 @@ class Collocation(NamedScheme, kind="Collocation"):
     def _newton(self, ode: ca.Function) -> ca.Function:
         """Build a step by Newton's method for all stages.
 
-        `ode` (x, u) → ẋ are the equations of motion. Function (x, u, h, tolerance) → x_next.
+        `ode` (x, u) → ẋ are the equations of motion. Function (x, u, h, tolerance) → x_next. x is
+        the state, u the control with the parameters, and h the step [s].
         """
         A, b = self.coefficients
         nx, s = ode.size1_in(0), self.degree
@@ -200,7 +201,7 @@ class Collocation(NamedScheme, kind="Collocation"):
         """Build a step by triangular iteration over the stages.
 
         Function (z, u, h, tolerance) → z_next. With a Function `power`, z has one more entry, its
-        integral.
+        integral. z is the state, u the control with the parameters, and h the step [s].
         """
         A, b = self.coefficients
         nx = model.nx
@@ -255,10 +256,10 @@ class Collocation(NamedScheme, kind="Collocation"):
 def _halve_unsolved(whole: ca.Function) -> ca.Function:
     """Build a step that is divided into halves if `whole` fails.
 
-    Function (z, u, h, tolerance) → z_next. The halves are divided likewise, up to ten times. Near
-    an impact the modes of strings and contacts, or sticking and sliding, may alternate between
-    iterations. In a short step the forces hardly change and each iteration converges. Other steps
-    cost as much as before.
+    `whole` is a Function (z, u, h, tolerance) → z_next that returns NaN if it fails, and so is the
+    result. The halves are divided likewise, up to ten times. Near an impact the modes of strings
+    and contacts, or sticking and sliding, may alternate between iterations. In a short step the
+    forces hardly change and each iteration converges. Other steps cost as much as before.
     """
     symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
     z, u, h, tolerance = symbols

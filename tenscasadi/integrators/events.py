@@ -27,7 +27,7 @@ def build_switching(model: Model) -> ca.Function | None:
     """Build switching functions, positive for taut strings and closed contacts.
 
     Function (x, u) → g (k,) [m]. Strings come first, then contacts. None if the scene has no such
-    events.
+    events. x is the state, and u the control with the parameters.
     """
     scene, mech = model.scene, model.mechanism
     if not count_switches(model):
@@ -114,7 +114,7 @@ def build_margins(model: Model) -> ca.Function:
     """Build the elongations that strings can bear before they break.
 
     Function (x, u) → margins (m,) [m] of breakable cables and strings in no cable. They are
-    positive for intact and for broken ones.
+    positive for intact and for broken ones. x is the state, and u the control with the parameters.
     """
     x, u = model.symbols(not model.mechanism.large)
     N, V, time = model.unpack(x)
@@ -128,7 +128,8 @@ def build_margins(model: Model) -> ca.Function:
 def build_events(model: Model) -> ca.Function | None:
     """Build the switching functions, and margins to failure, of a model.
 
-    Function (x, u) → (k + m,) [m]; None if the scene has no events.
+    Function (x, u) → (k + m,) [m]; None if the scene has no events. There are k switching
+    functions, see `build_switching`, and m margins, see `build_margins`.
     """
     gaps = build_switching(model)
     if not count_breakable(model):
@@ -141,11 +142,12 @@ def build_events(model: Model) -> ca.Function | None:
 
 
 def build_latch(model: Model, work: bool) -> ca.Function:
-    """Build the change of the state when strings break.
+    """Build the change of the state at which strings break.
 
-    Function (z, u) → z, in which strings with negative margin are marked as broken. With `work`,
-    the last entry of z is the energy supplied [J], to which the lost elastic energy is added. If no
-    string breaks, only the margins are evaluated.
+    Function (z, u) → z, in which strings with a margin of 0 or less are marked as broken. z is the
+    state, and u the control with the parameters. With `work`, the last entry of z is the energy
+    supplied [J], to which the change of the stored energy is added. If no string breaks, only the
+    margins are evaluated.
     """
     count, margins = count_breakable(model), build_margins(model)
     z, u = ca.MX.sym("z", model.nx + work), ca.MX.sym("u", model.nw)
@@ -211,10 +213,12 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def search_root(value: ca.Function, path: list[ca.MX]) -> ca.Function:
-    """Build Ridders' search for a root in a bracket.
+    """Build Ridders' search for a root of a function of time in a bracket.
 
-    Function (*path, low, high) → time [s] just after the root, at which `value` (t, *path) is
-    negative. It is an end of the bracket if the signs of both ends do not differ.
+    `value` is a Function (t, *path) that falls from positive to negative, and `path` are the
+    symbols of its other inputs. The result is a Function (*path, low, high) → time [s] just after
+    the root, at which `value` is negative. The time is an end of the bracket from `low` to `high`
+    if both ends have the same sign.
     """
     low, high = ca.MX.sym("low"), ca.MX.sym("high")
     a, b, at_a, at_b = (ca.MX.sym(name) for name in ("a", "b", "at_a", "at_b"))

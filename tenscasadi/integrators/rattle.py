@@ -151,7 +151,9 @@ class Rattle(NamedScheme, kind="Rattle"):
 def _swing(z: Complex, fraction: float, kick: Tableau) -> Any:
     """Compute the amplification matrix of drift, kick and drift.
 
-    It is (…, 2, 2) and acts on (q, h v). This part takes `fraction` of the step h, and z = h λ.
+    It is (…, 2, 2) and acts on (q, h v). This part takes `fraction` of the step h, and z = h λ. (q,
+    h v) are position and scaled velocity of a damped vibration with the eigenvalue λ. `kick` is the
+    Runge-Kutta method of the velocities.
     """
     damping = fraction * np.where(z.imag == 0, -z.real, -2 * z.real)
     squared = fraction * np.where(z.imag == 0, 0.0, np.abs(z) ** 2)
@@ -170,7 +172,7 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
 
     The `kick` is the Runge-Kutta method for the velocities and internal states. Constraints are
     solved by `iterations` Newton iterations. With a Function `power`, z has one more entry, its
-    integral.
+    integral. z is the state of the model, u the control with the parameters, and h the step [s].
     """
     kind: Any = ca.SX if model.mechanism.unrolled else ca.MX
     z, u, h = kind.sym("z", model.nx + (power is not None)), kind.sym("u", model.nw), kind.sym("h")
@@ -185,14 +187,21 @@ def _leap(model: Model, power: ca.Function | None, kick: Tableau, iterations: in
         return place_nodes(moved, V + (moved - free) / (h / 2), later)
 
     def place_nodes(N: Any, V: Any, time: Any) -> tuple[Any, Any, Any]:
-        """Move supports to their prescribed positions at a time."""
+        """Move supports to their prescribed positions at a time.
+
+        N and V (3×n) are node positions and velocities. Returns both with those of the supports,
+        and the time [s].
+        """
         return model.unpack(model.pack(N, V, own, time))
 
     def tangent(N: Any, V: Any, time: Any) -> Any:
         return project_velocities(mech, N, V, model.targets(time)[1])
 
     def turn(N: Any, V: Any, own: Any, time: Any) -> Any:
-        """Advance the internal states `own` (na) by half a step at fixed nodes."""
+        """Advance the internal states `own` (na) by half a step at fixed nodes.
+
+        N and V (3×n) are node positions and velocities at `time`.
+        """
         slopes: list[Any] = []
         for row in kick.a if model.na else ():
             stage = own + h / 2 * _sum_slopes(row, slopes) if any(row) else own
@@ -233,10 +242,12 @@ def _sum_slopes(weights: tuple[float, ...], slopes: list[Any]) -> Any:
 
 
 def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> Any:
-    """Find positions that satisfy bar and joint constraints.
+    """Find positions (3×n) that satisfy bar and joint constraints.
 
-    Displacements along the bars of N correct the `free` positions (3×n). D (3×c) are the prescribed
-    positions of joints N P = D. Coupled constraints take the given number of Newton iterations.
+    Displacements along the bars at the earlier positions N (3×n) correct the `free` positions
+    (3×n), which ignore the constraints. `mech` has the bars and joints. D (3×c) are the prescribed
+    positions of joints N P = D. Coupled constraints are solved by the given number of Newton
+    `iterations`.
     """
     if not mech.constrained:
         return free
@@ -251,12 +262,12 @@ def _constrain(mech: Mechanism, free: Any, N: Any, D: Any, iterations: int) -> A
 
 
 def _newton(mech: Mechanism, free: Any, B: Any, D: Any, iterations: int) -> Any:
-    """Find positions that satisfy coupled constraints, by Newton's method.
+    """Find positions (3×n) that satisfy coupled constraints, by Newton's method.
 
-    It starts at the `free` positions (3×n), with impulses along the bar vectors B (3×β). D (3×c)
-    are the prescribed positions of joints N P = D. Where bars align, the impulses become dependent
-    and the iteration would diverge. The best iterate is used; impulses along the current bars
-    remove the remaining residual.
+    It starts at the `free` positions (3×n), with impulses along the bar vectors B (3×β) of `mech`.
+    D (3×c) are the prescribed positions of joints N P = D. Where bars align, the impulses become
+    dependent and the `iterations` would diverge. The best iterate is used; impulses along the
+    current bars remove the remaining residual.
     """
 
     def residual(N: Any) -> tuple[Any, Any, Any]:

@@ -289,7 +289,7 @@ def build_trial(tableau: Tableau, ode: ca.Function) -> ca.Function:
 def repeats_last(tableau: Tableau) -> bool:
     """Return whether the method is "first same as last".
 
-    Its last stage is then the first one of the next step.
+    The last stage in `tableau` is then the first one of the next step.
     """
     return tableau.a[-1] == tableau.b[:-1] and tableau.b[-1] == 0
 
@@ -306,9 +306,9 @@ def _slopes(
 
 
 def select_stages(tableau: Tableau) -> set[int]:
-    """Find the stages that affect the result of a step.
+    """Find the indices of the stages that affect the result of a step.
 
-    The last stage of a "first same as last" pair is for its error estimate alone.
+    The last stage in the `tableau` of a "first same as last" pair is for its error estimate alone.
     """
     needed: set[int] = set()
     for i in reversed(range(len(tableau.a))):
@@ -320,8 +320,9 @@ def select_stages(tableau: Tableau) -> set[int]:
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
     """Compute x + h Σ weight · ẋ over the stages.
 
-    The time derivatives ẋ of the stages are `slopes`. Stages of equal weight are added first, since
-    each product is a pass over the state. Many weights become one matrix product.
+    x is the state at the start of the step of length h, and `slopes` are the time derivatives ẋ of
+    the stages, one for each of the `weights`. Stages of equal weight are added first, since each
+    product is a pass over the state. Many weights become one matrix product.
     """
     used = {
         weight: reduce(add, (slopes[k] for k in equal))
@@ -335,7 +336,10 @@ def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]
 
 
 def equal_weights(weights: tuple[float, ...]) -> dict[float, list[int]]:
-    """Group the stages of a Runge-Kutta method by their nonzero weight."""
+    """Group the stages of a Runge-Kutta method by their nonzero weight.
+
+    Returns the indices of the stages with each weight.
+    """
     return {
         weight: [k for k, own in enumerate(weights) if own == weight]
         for weight in weights

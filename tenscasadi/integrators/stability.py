@@ -30,7 +30,8 @@ def fastest_rate(model: Model, x: Any = None, u: Any = None, parameters: Any = N
 
     It is the largest |eigenvalue| of ∂ode/∂x at state `x` (nx,) and control `u` (nu,), by default
     the initial ones. Above 400 states Arnoldi's method finds it to about 1 %. NaN if the
-    linearization is not finite. Raises TypeError, ValueError.
+    linearization is not finite. Raises TypeError, ValueError. `parameters` are those of
+    `stable_step`.
     """
     return float(np.abs(_rates(model, x, u, parameters)).max(initial=0.0))
 
@@ -112,7 +113,7 @@ def find_limit(
     """Compute the largest stable step at a state [s].
 
     x (nx,) is the state, u (nu,) the control. In contrast to `stable_step`, it does not warn, and
-    considers only nodes in contact.
+    considers only nodes in contact. `scheme` and `parameters` are those of `stable_step`.
     """
     return step_limit(scheme, _rates(model, x, u, parameters))
 
@@ -121,7 +122,7 @@ def contact_rate(model: Model, parameters: Any = None) -> float:
     """Compute the largest angular frequency of ground contact [rad/s].
 
     It is that at which the lightest node vibrates on a ground's spring, or the rate of its damping.
-    0 without a ground.
+    It is 0 without a ground. `parameters` are those of `stable_step`.
     """
     return float(np.abs(_bounce_rates(model, parameters)).max(initial=0.0))
 
@@ -131,7 +132,7 @@ def contact_step(model: Model, parameters: Any = None) -> float:
 
     It resolves the vibration and damping of a node on a ground. It also resolves how friction of a
     third of the weight stops a slipping node, unless that needs less than a tenth of the step.
-    Infinite without a ground.
+    Infinite without a ground. `parameters` are those of `stable_step`.
     """
     rate = contact_rate(model, parameters)
     if not rate:
@@ -142,11 +143,12 @@ def contact_step(model: Model, parameters: Any = None) -> float:
 
 
 def _bounce_rates(model: Model, parameters: Any) -> Complex:
-    """Compute the eigenvalues of the lightest node on each ground.
+    """Compute the eigenvalues of the lightest node on each ground [1/s].
 
-    Friction is not included. They also bound those of bars: Σ w (1 − s, s)ᵀ(1 − s, s) over the
-    contact points at fractions s has no eigenvalue above 1, as the weights w add up to 2. Each end
-    has at most the stiffness k and damping c of the ground.
+    They are i√(k/m) and −c/m (two for each ground), for mass m, stiffness k and damping c. Friction
+    is not included. They also bound those of bars: Σ w (1 − s, s)ᵀ(1 − s, s) over the contact
+    points at fractions s has no eigenvalue above 1, as the weights w add up to 2. Each end has at
+    most the stiffness k and damping c of the ground.
     """
     grounds, m, _ = _contact(model, parameters)
     rates = [(1j * np.sqrt(float(g.stiffness) / m), -float(g.damping) / m) for g in grounds]
@@ -156,7 +158,7 @@ def _bounce_rates(model: Model, parameters: Any) -> Complex:
 def _friction_rate(model: Model, parameters: Any) -> float:
     """Compute the rate at which friction stops the lightest node [1/s].
 
-    The friction force is that of a third of the weight.
+    The normal force on the node is a third of the weight. The rate is 0 without friction.
     """
     grounds, m, weight = _contact(model, parameters)
     rates = [float(g.friction) / float(g.slip_speed) for g in grounds if g.friction is not None]
@@ -164,9 +166,9 @@ def _friction_rate(model: Model, parameters: Any) -> float:
 
 
 def _contact_rates(model: Model, parameters: Any) -> Complex:
-    """Compute the eigenvalues of the lightest node in contact.
+    """Compute the eigenvalues of the lightest node in contact [1/s].
 
-    Those of friction are limited to the rate at which `contact_step` is stable.
+    That of friction is limited to the rate at which `contact_step` is stable.
     """
     friction = min(_friction_rate(model, parameters), 2.5 / contact_step(model, parameters))
     return np.append(_bounce_rates(model, parameters), -friction)
@@ -175,7 +177,7 @@ def _contact_rates(model: Model, parameters: Any) -> Complex:
 def lightest_mass(model: Model, parameters: Any = None) -> float:
     """Compute the smallest effective mass of a node [kg].
 
-    It is 1/max diag M⁻¹, without bars.
+    It is 1/max diag M⁻¹, for the mass matrix M at these `parameters`, as if no bar were rigid.
     """
     w = ca.DM(model.stack_inputs(None, parameters))
     return float(1 / max(_numbers(part).diagonal().max() for part in model.with_masses(w).inverse))
@@ -186,7 +188,11 @@ def _numbers(matrix: Any) -> Array:
 
 
 def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
-    """Return the contact laws, the smallest mass [kg] and the weight [N]."""
+    """Collect the contact laws, the smallest mass [kg] and the weight [N].
+
+    The mass is that of `lightest_mass`, and the weight that of the whole structure. Both are 0
+    without contacts.
+    """
     p = model.parameters.values(parameters)
     scene = fix(model.scene, p) if model.np else model.scene
     if not scene.contact_laws:
@@ -199,9 +205,9 @@ def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
 
 
 def _jacobian(model: Model, x: Any, w: Any) -> Array:
-    """Compute ∂ode/∂x at a state and its inputs.
+    """Compute the Jacobian ∂ode/∂x (nx, nx) [1/s] at a state x (nx,).
 
-    The inputs w are the control and the parameters.
+    The inputs w (nw,) are the control and the parameters.
     """
     control, p = np.split(np.asarray(w), [model.nu])
     at = EquationDerivatives.of(model).at(np.asarray(x)[None], control[None], p)
@@ -209,9 +215,10 @@ def _jacobian(model: Model, x: Any, w: Any) -> Array:
 
 
 def _directional(model: Model) -> ca.Function:
-    """Build the Function (x, w, v) → ∂ode/∂x v.
+    """Build the Function (x, w, v) → ∂ode/∂x v for a direction v (nx).
 
-    For large models it is cheaper than the Jacobian.
+    x is the state, and w the control with the parameters. For large models it is cheaper than the
+    Jacobian.
     """
 
     def build() -> ca.Function:
@@ -223,10 +230,10 @@ def _directional(model: Model) -> ca.Function:
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:
-    """Compute the largest stable step for these eigenvalues [s].
+    """Compute the largest stable step of a scheme for given eigenvalues [s].
 
-    `rates` are the eigenvalues of the linearized model [1/s]. Infinite if nothing limits the step,
-    NaN if an eigenvalue is not finite.
+    `rates` are the eigenvalues of the linearized model [1/s]. The step is infinite if nothing
+    limits it, and NaN if an eigenvalue is not finite.
     """
     if not np.all(np.isfinite(rates)):
         return float("nan")
@@ -236,9 +243,10 @@ def step_limit(scheme: Scheme, rates: Complex) -> float:
 
 
 def _rates(model: Model, x: Any, u: Any, parameters: Any) -> Complex:
-    """Compute eigenvalues of the linearized model, ∂ode/∂x.
+    """Compute eigenvalues of the linearized model, ∂ode/∂x [1/s].
 
-    For small models they are all eigenvalues, for others the largest.
+    x (nx,) is the state and u (nu,) the control, by default the initial ones. For small models they
+    are all eigenvalues, for others the largest. They are NaN if the linearization is not finite.
     """
     check_model(model)
     state = model.initial_state if x is None else finite_array("x", x, (model.nx,))

@@ -220,7 +220,8 @@ def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function
     """Build the projections (N, x, p) of nodes N and of the velocities in x.
 
     They are common to all numbers of iterations. Bars without joints are restored in closed form.
-    `kind` is the type of CasADi's symbols, SX or MX.
+    `kind` is the type of CasADi's symbols, SX or MX. N (3×n) are positions of the last iteration, x
+    is the state before, and p are the parameters.
     """
     x, p = kind.sym("x", model.nx), kind.sym("p", model.np)
     mech = model.with_masses(ca.vertcat(kind(model.nu, 1), p))
@@ -240,7 +241,8 @@ def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
     """Build the Function x → result, or (x, p) → result with parameters.
 
-    `name` is the name of the Function, and `what` that of its result.
+    `name` is the name of the Function, and `what` that of its result. The symbols are the state x
+    and the parameters p, and `result` is the corrected state.
     """
     inputs = {"x": x} | ({"p": p} if p.numel() else {})
     return ca.Function(name, list(inputs.values()), [result], list(inputs), [what])
@@ -274,7 +276,9 @@ def correct(model: Model, project: ca.Function, x: Any, w: Any) -> Any:
 def _rescale(mech: Mechanism, N: Any) -> Any:
     """Restore the lengths of bars that are not joined to others.
 
-    N (3×n) are the nodes. The vector of a bar becomes b (1 + μ G_ii).
+    N (3×n) are the node positions, and `mech` has the lengths. Each bar vector is scaled to its
+    length, by displacements of its ends in inverse proportion to their masses. Returns the
+    corrected positions (3×n).
     """
     B = mech.bar_vectors(N)
     return stretch_bars(mech, N, B, ca.DM(mech.lengths).T / ca.sqrt(ca.sum1(B * B)) - 1)
@@ -327,11 +331,11 @@ def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
 
 
 def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
-    """Change bar vectors and close the joints.
+    """Change bar vectors, and close the joints by moving bars and string nodes.
 
-    Z (3×n) are node positions or velocities. The bar vectors change by `change` (3×β), and the
-    joints satisfy Z P = `target` (3×c). The centers of mass and string nodes move as little as
-    possible, Eqs. 134-149.
+    Z (3×n) are node positions or velocities, and `mech` has the bars and joints. The bar vectors
+    change by `change` (3×β), and the joints satisfy Z P = `target` (3×c). The centers of mass and
+    string nodes move as little as possible, Eqs. 134-149. Returns the new Z.
     """
     ends = sp.csr_array(abs(mech.C_b))  # β×n, twice C_r
     Z = Z + ca.mtimes(change, sparse(mech.C_b)) / 2

@@ -115,9 +115,10 @@ def stage_states(model: Model, A: Array, x: Any, k: Any, h: Any) -> list[Any]:
 def _sweep(model: Model, A: Array, k: Any, changes: Any, x: Any, u: Any, h: Any) -> list[Any]:
     """Build one sweep of the triangular iteration over all stages.
 
-    The step of length h [s] starts at x with the input u. A (s, s) are the coefficients of the
-    method. The time derivatives k (nq + na, s) of velocities and internal states are those of the
-    last sweep, and `changes` its change and the smallest one so far. Returns the new k and changes.
+    The step of length h [s] starts at the state x (nx) with the input u, control and parameters. A
+    (s, s) are the coefficients of the method. k (nq + na, s) are the time derivatives of velocities
+    and internal states after the last sweep. `changes` are its change of the states and the
+    smallest one so far. Returns the new k and changes.
     """
     L = factor_crout(A)
     squared = L @ L
@@ -179,7 +180,8 @@ def _solver(model: Model) -> ca.Function:
 
     Function (x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, approximately, for the
     acceleration a. See `build_mode_ode` for w. `moved` is the change of velocities in the last
-    sweep [m/s].
+    sweep [m/s]. x is the state, g (h times a coefficient of the method) the effective step [s], q
+    are the coordinates and v their velocities.
     """
     nq = model.nq
 
@@ -232,8 +234,9 @@ def _solver(model: Model) -> ca.Function:
 class _Dragging(ForceElement):
     """Linearized friction in a contact, as a force element.
 
-    It does not depend on the normal force, so the derivatives are symmetric. The force is drag
-    (1×m) [N s/m] times the slip velocity, without its component along direction (3×m).
+    It does not depend on the normal force, so the derivatives are symmetric. At the m points of
+    `contacts`, the force is `drag` (1×m) [N s/m] times the slip velocity without its component
+    along `direction` (3×m).
     """
 
     contacts: ContactElement
@@ -262,12 +265,13 @@ def _drag_slopes(
     at: NodeMotion,
     moved: Any,
 ) -> Any:
-    """Compute `slopes` of the force elements with linearized friction.
+    """Compute force derivatives with linearized friction.
 
-    For a node far from its final velocity, friction is linearized by the secant from rest instead
-    of the derivative. Friction of a sliding node hardly changes, so Newton's method would step past
-    rest and back. `at` has the nodes and velocities. `moved` is the last change of the velocities
-    [m/s], small near convergence.
+    The function `slopes` differentiates the total force of a list of elements with respect to the
+    state. For a node far from its final velocity, friction is linearized by the secant from rest
+    instead of the derivative. Friction of a sliding node hardly changes, so Newton's method would
+    step past rest and back. `at` has the positions and velocities of the nodes. `moved` is the last
+    change of the velocities [m/s], small near convergence.
     """
     linear: list[ForceElement] = []
     held: list[tuple[Any, Any]] = []

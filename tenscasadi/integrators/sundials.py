@@ -63,8 +63,9 @@ class Sundials(NamedScheme):
     def advance_in_mode(self, model: Model, work: ca.Function | None, parts: int) -> ca.Function:
         """Build one step of a model with fixed slack and contact states.
 
-        Function (z, w, h) → z (nz, parts) at equal times, with w = (u, mode). `work` is
-        `build_mode_ode` with work, or None.
+        Function (z, w, h) → states (nz, parts) at the ends of equal parts of the step h [s]. z is
+        the initial state, and w = (u, mode) has the control, the parameters and the fixed modes.
+        `work` is `build_mode_ode` with work, or None.
         """
         shares = [(k + 1) / parts for k in range(parts)]
         return self._step(
@@ -81,11 +82,11 @@ class Sundials(NamedScheme):
         start: ca.Function | None,
         shares: Sequence[float] = (1.0,),
     ) -> ca.Function:
-        """Build one step of the equations of any length h.
+        """Build one step of any length h, a Function (x, u, h) → states.
 
-        `equations` are those of `equations`, `atol` is the absolute tolerance, and `start` the
-        Function of `algebraic_start`. The integration variable is t/h. The states are those at the
-        fractions `shares` of the step.
+        `equations` are those of the method `equations`, `atol` is the absolute tolerance [m and
+        m/s], and `start` the Function of `algebraic_start`. The integration variable is t/h. The
+        states are those at the fractions `shares` of the step.
         """
         h, u = ca.MX.sym("h"), equations["u"]
         scaled = {key: value for key, value in equations.items() if key != "u"} | {
@@ -106,7 +107,11 @@ class Sundials(NamedScheme):
         )
 
     def amplification(self, z: Complex) -> Complex:
-        """Return 0, since the integrator controls its stability."""
+        """Return zeros of the shape of z, as if every step were stable.
+
+        The integrator controls its stability by its own steps. z is step · λ, see
+        `Scheme.amplification`.
+        """
         return np.zeros(np.shape(z), dtype=complex)
 
     def equations(
@@ -114,8 +119,9 @@ class Sundials(NamedScheme):
     ) -> dict[str, Any]:
         """Build the equations for CasADi's integrator, a dictionary.
 
-        It has x, u and ode. With a Function `power`, they include the work of forces. With `held`,
-        slack and contact states are fixed, see `advance_in_mode`.
+        Its symbols are the state x and the input u, and `ode` is ẋ. With a Function `power`, x has
+        one more entry, the work of forces. With `held`, slack and contact states are fixed, see
+        `advance_in_mode`.
         """
         ode = (power or build_mode_ode(model)) if held else equations(model, power)
         x, u = ca.MX.sym("x", ode.size1_in(0)), ca.MX.sym("u", ode.size1_in(1))
@@ -125,7 +131,7 @@ class Sundials(NamedScheme):
         """Build the initial guess of the algebraic variables.
 
         These are the multipliers of bars and joints in `Idas`. Function (z, u) → guess; None
-        without such variables.
+        without such variables. z is the state, and u the control with the parameters.
         """
         return None
 

@@ -37,7 +37,9 @@ _PARTS = 4  # parts of an interval, each sampled at its ends and its middle
 class _ModeInterval(NamedTuple):
     """Trajectory in one mode over h seconds from state z.
 
-    The input u is the control and the parameters. `rows` are states at equal times.
+    The input u is the control and the parameters, and `mode` has 1 for each taut string and closed
+    contact, else 0. `rows` are states at equal times. z has nz entries: the state x, followed by
+    the energy supplied [J] if that is computed.
     """
 
     z: Array
@@ -97,7 +99,8 @@ class EventSteps:
     def __call__(self, z: Array, u: Array, lengths: Array) -> Array:
         """Integrate time steps of equal length with constant input u.
 
-        Returns z after each step (steps, nz).
+        z (nz,) is the initial state, u (nw,) the control with the parameters, and `lengths`
+        (steps,) are the equal lengths [s]. Returns z after each step (steps, nz).
         """
         rows: list[Array] = []
         step, z = float(lengths[0]), self._break_strings(z, u)
@@ -129,14 +132,16 @@ class EventSteps:
     def _stack(self, u: Array, mode: Array) -> Array:
         """Stack the input u and the modes of strings and contacts.
 
-        Modes of strings that break are not inputs.
+        Modes of strings that break are not inputs. u (nw,) is the control with the parameters, and
+        `mode` the values of all switching functions as 1 or 0.
         """
         return np.concatenate([u, mode[: self._switches]])
 
     def _integrate(self, z: Array, u: Array, step: float, many: int) -> list[Array]:
         """Integrate `many` time steps up to the first possible event.
 
-        u is the control and the parameters. Returns z after each step.
+        z (nz,) is the initial state, u the control with the parameters, and `step` the length of a
+        time step [s]. Returns z after each step without an event.
         """
         self._pause()
         if (many, step) not in self._integrators:
@@ -157,9 +162,10 @@ class EventSteps:
     def _look(self, z: Array, rows: Array, u: Array, mode: Array, h: float) -> tuple[Array, Array]:
         """Detect mode changes in each part of an interval.
 
-        The interval has the length h [s], the initial z, and the states `rows` at equal times, two
-        for each part. Returns the fractions of each part at which the mode differs (4, parts), see
-        `_build_look`, and whether the interpolation resolves the part (parts,).
+        The interval has the length h [s], the initial state z, the input u, the initial `mode`, and
+        the states `rows` at equal times, two for each part. Returns the fractions of each part at
+        which the mode differs (4, parts), see `_build_look`, and whether the interpolation resolves
+        the part (parts,).
         """
         ends, parts = np.vstack([z, rows])[:, : self._nx].T, len(rows) // 2
         held = [np.tile(value[:, None], parts) for value in (u, np.array([h / parts]), mode)]
@@ -179,8 +185,8 @@ class EventSteps:
     def _convert_work(self, z: Array, u: Array, rows: Array) -> Array:
         """Convert the work of all forces to the energy supplied from outside.
 
-        It subtracts the decrease of the model's stored energy from the last entry of `rows`, states
-        after z with the input u.
+        It adds the increase of the model's stored energy since z to the last entry (the work) of
+        each state in `rows`. u is the control with the parameters.
         """
         if self._power:
             rows[:, self._nx] += self._potential(rows[:, : self._nx].T, u).full().ravel() - float(
@@ -220,7 +226,8 @@ class EventSteps:
     def _locate(self, high: _ModeInterval, step: float) -> _ModeInterval:
         """Shorten an interval to end just after its first event.
 
-        The overshoot is within the tolerance.
+        The overshoot is within the tolerance. `high` is an interval that ends after the event, and
+        `step` the length of the time step [s].
         """
         low = 0.0
         for trial in count():
