@@ -14,8 +14,9 @@ from tenscasadi.util.validate import Array, Indices
 class CapsulePoints(NamedTuple):
     """Centers of spheres on the axes of bars, for contact with a ground.
 
-    The contact force of each sphere is multiplied by a weight. The weights of a bar add up to 2, so
-    that a bar that lies on a plane has the contact stiffness of its two end nodes.
+    The m spheres have the `radii` of their bars, and lie at `fractions` of the bar lengths from the
+    first end. The contact force of each sphere is multiplied by a weight. The weights of a bar add
+    up to 2, so that a bar that lies on a plane has the contact stiffness of its two end nodes.
     """
 
     bars: Indices  # (m,)
@@ -51,7 +52,10 @@ class BarPoints:
         return [*self.starts, *self.ends]
 
     def place(self, N: Any) -> Any:
-        """Interpolate node columns N (3×n) at the points on the axes."""
+        """Compute the positions (3×m) [m] of the points on the axes of bars.
+
+        N (3×n) are the positions of all nodes. Offsets are not included.
+        """
         first, second = N[:, self.starts], N[:, self.ends]
         return times(first, 1 - self.fractions) + times(second, self.fractions)
 
@@ -88,16 +92,22 @@ class BarPoints:
 
 @dataclass(frozen=True, eq=False)
 class NodePoints:
-    """Nodes at which contact forces act."""
+    """Nodes at which contact forces act, by their `columns` in N (3×n)."""
 
     columns: list[int]
 
     def velocities(self, N: Any, V: Any) -> Any:
-        """Select the velocities (3×m) [m/s] of these nodes."""
+        """Select the velocities (3×m) [m/s] of these m nodes.
+
+        V (3×n) are the velocities of all nodes; their positions N are not used.
+        """
         return V[:, self.columns]
 
     def end_forces(self, N: Any, F: Any) -> Any:
-        """Return the forces F (3×m) [N], which act at these nodes."""
+        """Return the forces F (3×m) [N], which act at these nodes.
+
+        N (3×n) are the node positions, which are not used.
+        """
         return F
 
 

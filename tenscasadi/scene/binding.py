@@ -104,7 +104,7 @@ def sets_rest_lengths(scene: Any) -> bool:
 
 
 def initial_control(scene: Any, p: Array) -> Array:
-    """Compute the control (nu,) in the initial state.
+    """Compute the control (nu,) in the initial state for parameters p (np,).
 
     It consists of the rest lengths [m] of the structure, or of the corresponding force densities
     [N/m] or tensions [N], or it keeps winches at rest.
@@ -126,7 +126,7 @@ def initial_control(scene: Any, p: Array) -> Array:
 
 
 def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
-    """List the internal states of a scene with parameters (np,).
+    """List the internal states of a scene with parameters p (np,).
 
     They are states besides positions and velocities, such as rest lengths of winches.
     """
@@ -139,7 +139,7 @@ def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
 
 
 def fix(scene: Any, p: Array) -> Any:
-    """Replace constants of a scene by numerical parameters (np,)."""
+    """Replace parameters of a scene by constants with the values p (np,)."""
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}
@@ -179,7 +179,11 @@ def fix(scene: Any, p: Array) -> Any:
 
 
 def _fix_bodies(bodies: Any, mass: Array | None, moments: Array | None) -> list[Any]:
-    """Replace masses (k,) and moments of inertia (6k,) of bodies."""
+    """Copy bodies with other masses and inertia.
+
+    `mass` (k,) [kg] are those of the k bodies, and `moments` (6k,) [kg m²] their inertia, six
+    entries each (xx, yy, zz, xy, xz, yz). None: unchanged.
+    """
     found = list(bodies)
     if mass is not None:
         found = [replace(body, mass=float(m)) for body, m in zip(found, mass, strict=True)]
@@ -190,7 +194,11 @@ def _fix_bodies(bodies: Any, mass: Array | None, moments: Array | None) -> list[
 
 
 def _own_entries(ground: Any, k: int, values: dict[str, Any]) -> dict[str, Any]:
-    """Select the parameter values that belong to ground k."""
+    """Select the parameter values that belong to ground number k.
+
+    `values` has an array with one entry for each ground, by the name of a field. Fields that the
+    ground does not use are omitted.
+    """
     given = {name: value for name, value in values.items() if getattr(ground, name) is not None}
     return {name: value[k] for name, value in given.items()}
 

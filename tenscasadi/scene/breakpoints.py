@@ -27,7 +27,7 @@ def probe_times(first: float, last: float) -> Array:
 
 
 def sample_times(first: float, last: float) -> Array:
-    """Return 65 equidistant times of a run [s].
+    """Return 65 equidistant times from `first` to `last` [s].
 
     A control or load is evaluated there to find its largest values. The times are also the first
     ends of the pieces of an interpolant, which are halved as needed. Narrow features need
@@ -76,7 +76,10 @@ def expand(function: ca.Function, t: ca.SX) -> ca.SX | None:
 
 
 def _find_switches(values: ca.SX) -> Iterator[ca.SX]:
-    """Find expressions whose sign changes are jumps of the values."""
+    """Find expressions whose sign changes are jumps of the values.
+
+    `values` are expressions of the time. Jumps come from comparisons, signs and roundings.
+    """
     waiting, seen = [values[k] for k in range(values.numel())], set()
     while waiting:
         item = waiting.pop()
@@ -116,5 +119,8 @@ def add_guard_times(times: Array) -> Array:
 
 
 def clock_error(first: float, last: float, steps: int) -> float:
-    """Bound the rounding error [s] of a clock that adds up steps."""
+    """Bound the rounding error [s] of a clock that adds up steps.
+
+    The clock runs from `first` to `last` [s] in the given number of steps.
+    """
     return 4.0 * (steps + 1) * float(np.spacing(max(abs(first), abs(last))))

@@ -61,9 +61,10 @@ class CableRows:
         )
 
     def _constants(self, values: Any, series: bool = False) -> Any:
-        """Add the values of strings in each cable.
+        """Compute a constant of each control input from those of its strings.
 
-        `values` (α,) belong to strings. If in `series`, as for stiffness, their inverses are added.
+        `values` (α,) or (1×α) belong to strings. They are added; if in `series`, as stiffness and
+        damping, their inverses are added and the sum is inverted. The result is (m,) or (1×m).
         """
         if is_expression(values):
             row = ca.repmat(values, 1, len(self.structure.strings) // values.shape[1])
@@ -186,6 +187,7 @@ def _tension_ratios(
 
     The q strings have lengths (1×q) [m], rates of length `speeds` (1×q) [m/s] and unit vectors
     `directions` (3×q). If the tension is controlled (`driven`), it is that of the first string.
+    `friction` is the coefficient between cable and nodes.
     """
     count = lengths.shape[1]
     share = lengths / ca.sum2(lengths)

@@ -11,7 +11,10 @@ from tenscasadi.util.validate import ROUNDING
 
 
 class Segments(NamedTuple):
-    """Ends (3×m) of pairs of line segments."""
+    """Ends (3×m) of m pairs of line segments.
+
+    The first segment of a pair is from a to b, the second from c to d.
+    """
 
     a: Any
     b: Any

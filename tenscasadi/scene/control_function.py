@@ -81,6 +81,8 @@ class ControlSchedule:
         t (s) → control (nu).
     breakpoints : ndarray, shape (B,)
         Times [s] at which steps must end, in addition to those found in `at`.
+    field : str
+        Name of the control in messages.
     """
 
     at: ca.Function
@@ -88,7 +90,10 @@ class ControlSchedule:
     field: str = "control"
 
     def check_run(self, first: float, last: float) -> None:
-        """Do nothing, because `build_schedule` has checked the values."""
+        """Do nothing, because `build_schedule` has checked the values.
+
+        Loads check themselves here, from `first` to `last` [s].
+        """
 
     def find_breakpoints(self, first: float, last: float) -> Array:
         """Find the jumps and kinks of the control.
@@ -192,7 +197,11 @@ def _check_positive(values: Array, positive: bool, time: float) -> Array:
 def read_controls_at(
     function: Callable[[Any], Any], nu: int, positive: bool
 ) -> Callable[[float], Array]:
-    """Wrap a control function so that its results are checked."""
+    """Wrap a control function so that its results are checked.
+
+    Results must be finite and of shape (nu,), and greater than 0 if `positive`. Returns a function
+    of the time [s]; it raises ValueError.
+    """
     sample = read_function("control", function, (nu,))
     return lambda time: _check_positive(sample(time), positive, time)
 
@@ -200,9 +209,10 @@ def read_controls_at(
 def _trace(
     function: Callable[[Any], Any], known: dict[float, Array], nu: int
 ) -> ca.Function | None:
-    """Convert a Python function to a CasADi Function by tracing.
+    """Convert a Python control function to a CasADi Function by tracing.
 
-    Returns None if that fails, or if the expression differs from the function's numbers.
+    The result is t (s) → control (nu). It is None if tracing fails, or if the expression differs
+    from the values `known` by time.
     """
     t = ca.MX.sym("t")
     try:

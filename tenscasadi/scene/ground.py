@@ -35,7 +35,8 @@ class Surface(Value, ABC, implied="Ground"):
     """Base class of grounds with penalty contact.
 
     The normal force on a node at penetration depth d with normal velocity v is k d − c v, and at
-    least 0.
+    least 0. `stiffness` is k [N/m] and `damping` c [N·s/m]. For `friction`, `slip_speed`, `nodes`
+    and `bars` see `Ground`.
     """
 
     stiffness: float
@@ -47,7 +48,10 @@ class Surface(Value, ABC, implied="Ground"):
 
     @abstractmethod
     def contact(self, N: Any) -> Contact:
-        """Compute penetration depths and force directions of nodes (3×n) [m]."""
+        """Compute penetration depths and force directions of nodes.
+
+        N (3×n) are the node positions [m].
+        """
 
     @property
     def conservative(self) -> bool:
@@ -328,7 +332,7 @@ Grounds = Surface | Sequence[Surface] | None
 def read_grounds(value: Any, field: str = "Scene.ground") -> tuple[Surface, ...]:
     """Convert the field `Scene.ground` to a tuple of grounds.
 
-    Raises TypeError.
+    `value` is a ground, a sequence of them, or None. Messages name `field`. Raises TypeError.
     """
     if value is None or isinstance(value, Surface):
         return () if value is None else (value,)

@@ -38,10 +38,10 @@ class InternalStates(NamedTuple):
 
 
 def join_initial(parts: Sequence[InternalStates]) -> Array:
-    """Join the initial values (na,) of all internal states."""
+    """Join the initial values (na,) of all kinds of internal states."""
     return np.concatenate([np.zeros(0), *(part.initial for part in parts)])
 
 
 def join_scales(parts: Sequence[InternalStates]) -> Array:
-    """Join the scales (na,) of all internal states."""
+    """Join the scales (na,) of all kinds of internal states."""
     return np.concatenate([np.zeros(0), *(part.scale for part in parts)])

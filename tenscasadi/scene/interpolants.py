@@ -57,9 +57,9 @@ class VectorFunction:
         return ca.reshape(values, *self.shape[::-1]).T if len(self.shape) == 2 else values
 
     def check_run(self, field: str, first: float, last: float) -> None:
-        """Check that a run [s] is within the span of the interpolant.
+        """Check that a run is within the span of the interpolant.
 
-        Raises ValueError.
+        The run is from `first` to `last` [s]. Messages name `field`. Raises ValueError.
         """
         low, high = self.span
         rounding = NEGLIGIBLE * (high - low)
@@ -112,7 +112,7 @@ class PythonFunction(ca.Callback):
         self.construct("python_function", {"enable_fd": True, "never_inline": True})
 
     def get_n_in(self) -> int:
-        """Return the number of inputs."""
+        """Return the number of inputs, which is 1: the time."""
         return 1
 
     def get_n_out(self) -> int:
@@ -120,16 +120,19 @@ class PythonFunction(ca.Callback):
         return 1
 
     def get_sparsity_out(self, _: int) -> ca.Sparsity:
-        """Return the shape of the output."""
+        """Return the shape of the only output, a dense column."""
         return ca.Sparsity.dense(self._size)
 
     def eval(self, arguments: Any) -> list[ca.DM]:
-        """Evaluate the function at a time."""
+        """Evaluate the function at a time, the only one of the `arguments` [s]."""
         return [ca.DM(self._sample(float(arguments[0])))]
 
 
 def is_traceable(field: str, function: Callable[[Any], Any]) -> bool:
-    """Return whether CasADi can evaluate a function at a symbol."""
+    """Return whether CasADi can evaluate a function at a symbol.
+
+    `function` is one of time, and `field` its name.
+    """
     try:
         express(field, function, ca.MX.sym("t"))
     except ValueError:
@@ -140,7 +143,8 @@ def is_traceable(field: str, function: Callable[[Any], Any]) -> bool:
 def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ...]) -> Any:
     """Wrap a function that CasADi cannot trace, for single evaluations.
 
-    Runs use interpolants instead.
+    Returns a function of time with results of the given shape, which also accepts CasADi symbols.
+    `field` is its name in messages. Runs use interpolants instead.
     """
     sample = read_function(field, function, shape)
     python = PythonFunction(sample, sample(0.0).size)
@@ -152,7 +156,11 @@ def call_python(field: str, function: Callable[[Any], Any], shape: tuple[int, ..
 def read_function(
     field: str, function: Callable[[Any], Any], shape: tuple[int, ...]
 ) -> Callable[[float], Array]:
-    """Wrap a function so that its results are checked vectors."""
+    """Wrap a function of time so that its results are checked.
+
+    Results must be finite and have the given `shape`. The wrapped function returns them as a flat
+    array. Messages name `field`.
+    """
     wanted = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})" if shape else "one number"
     hint = f"give a function of time [s] that returns {wanted}"
 
@@ -164,9 +172,10 @@ def read_function(
 
 
 def sample_twice(field: str, sample: Sample, first: float, last: float) -> dict[float, Array]:
-    """Sample a function at five times of a run.
+    """Sample a function at five times from `first` to `last` [s].
 
-    Raises ValueError if it returns other values at a second call.
+    Returns the values by time. Raises ValueError, naming `field`, if the function returns other
+    values at a second call.
     """
     known = {time: sample(time) for time in probe_times(first, last)[::1000].tolist()}
     for time, values in known.items():
@@ -267,7 +276,11 @@ def interpolate_function(
 
 
 def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> list[float]:
-    """Find the ends of polynomial pieces at which the velocity jumps."""
+    """Find the ends of polynomial pieces at which the velocity jumps [s].
+
+    A piece is its first time, its last time, and its coefficients in Bernstein form. `largest` is
+    the largest value, for the rounding error.
+    """
     lengths = np.array([high - low for low, high, _ in pieces])[:, None]
     begin, end = (
         PATH * np.array([bezier[k + 1] - bezier[k] for *_, bezier in pieces]) / lengths
@@ -283,7 +296,8 @@ def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> l
 def _piece(degree: int) -> tuple[Array, Array, Array]:
     """Compute interpolation nodes, times between them, and a matrix.
 
-    The matrix converts values at the nodes to Bernstein form.
+    The nodes are degree + 1 fractions of a piece, from 0 to 1. The matrix converts values at the
+    nodes to the coefficients of a polynomial of this degree in Bernstein form.
     """
     nodes: Array = (1 - np.cos(np.pi * np.arange(degree + 1) / degree)) / 2
     between = (nodes[1:] + nodes[:-1]) / 2
@@ -299,7 +313,8 @@ def _spline(pieces: list[tuple[float, float, Array]], degree: int) -> ca.Functio
     """Join polynomial pieces in Bernstein form to a Function of time.
 
     The first and the last piece extend by a hundredth of their length, because rounding may take a
-    clock past the end.
+    clock past the end. A piece is its first time, its last time [s], and its degree + 1 rows of
+    coefficients.
     """
     pieces = list(pieces)
     s = np.linspace(0, 1, degree + 1)

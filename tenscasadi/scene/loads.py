@@ -327,7 +327,10 @@ class NodalForce(OverTime, ReadOnlyArrays, kind="NodalForce"):
 
 
 def _freeze(load: OverTime, quantity: str) -> None:
-    """Convert array fields of a load to hashable tuples."""
+    """Convert array fields of a load to hashable tuples, in place.
+
+    They are `times`, `breakpoints` and the field that `quantity` names.
+    """
     for name in (quantity, "times", "breakpoints"):
         value = getattr(load, name)
         if isinstance(value, np.ndarray):

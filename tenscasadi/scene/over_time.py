@@ -36,8 +36,9 @@ Load = TypeVar("Load", bound="OverTime")
 class OverTime(Value):
     """Base class of loads with a quantity that can vary over time.
 
-    The quantity is constant, a table or a function of time. A table is linear between its times and
-    constant outside. A function becomes a CasADi expression, or else an interpolant over a run.
+    The quantity is constant, a table or a function of time. A table is linear between its `times`
+    and constant outside. A function becomes a CasADi expression, or else an interpolant over a run;
+    steps end at its `breakpoints`. `factor` multiplies the quantity, if it is not None.
     """
 
     _quantity: ClassVar[str]  # name of the field that can vary over time
@@ -102,9 +103,9 @@ class OverTime(Value):
         vars(self).update(checked)
 
     def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
-        """Read a constant or a table of the quantity.
+        """Convert a constant or a table of the quantity to an array.
 
-        Raises TypeError, ValueError.
+        `value` must be finite and have this shape. Raises TypeError, ValueError.
         """
         return finite_array(self.field, value, shape)
 
@@ -246,8 +247,8 @@ class OverTime(Value):
 
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Convert the result of a function to a finite array.
+    """Convert the result of a function to a finite array of given shape.
 
-    Raises TypeError or ValueError.
+    `value` is the result, and `field` its name in messages. Raises TypeError or ValueError.
     """
     return finite_array(field, as_numbers(value), shape)

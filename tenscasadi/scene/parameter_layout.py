@@ -68,7 +68,10 @@ class Affine(NamedTuple):
         return ca.repmat(value, count, 1) if full and equal else value
 
     def then(self, matrix: Any) -> Affine:
-        """Multiply the values by a matrix."""
+        """Multiply the k values by a constant matrix (m×k).
+
+        Returns the affine function of the m results.
+        """
         return Affine(np.asarray(matrix @ self.constant), sp.csr_array(matrix @ self.matrix))
 
 
@@ -238,7 +241,8 @@ EMPTY = ParameterLayout((), (), np.zeros(0), {}, {}, {})
 class _ParameterBlock(NamedTuple):
     """Entries of p that belong to one quantity.
 
-    The value of items[j] is weights[j] times the entry with this number; other items are constant.
+    The entries have `names` and `nominal` values. Item items[j] of the k items has the value
+    weights[j] times entry entries[j]. Other items have their values in `constant`.
     """
 
     names: list[str]
@@ -318,7 +322,11 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
 def _find_members(
     parameters: Parameters, name: str, labels: list[Any]
 ) -> tuple[list[Indices], list[str]]:
-    """Find the items, such as strings, and the name of each entry of p."""
+    """Find the items, such as strings, that share each entry of p.
+
+    The quantity is called `name`, and its items have `labels`. Returns the item indices of each
+    entry, and its index in names, such as "[3]", or "" for a single entry.
+    """
     groups, count = dict(parameters.groups).get(name), len(labels)
     if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):
         return [np.arange(count)], [""]
@@ -331,7 +339,11 @@ def _find_members(
 
 
 def _read_items(scene: Any, parameters: Parameters, name: str) -> tuple[Array, list[Any]]:
-    """Read the values of a quantity, and the labels of its items."""
+    """Read the values of a quantity, and the labels of its items.
+
+    `name` is that of the quantity. A load with a scale has the single value 1. Raises ValueError if
+    the scene does not have the quantity.
+    """
     part = QUANTITIES[name].part
     source = getattr(scene, part)
     missing = "" if source is not None else f"Scene.{part} is None: give one"
@@ -390,7 +402,10 @@ def _reject_flat(structure: Any) -> None:
 
 
 def _find_strict(scene: Any, name: str, count: int) -> Any:
-    """Find which items (count,) must be greater than 0."""
+    """Find which items of a quantity must be greater than 0.
+
+    `name` is that of the quantity. Returns Booleans (count,).
+    """
     s = scene.structure
     if name == "node_mass":  # nodes without mass of bars or strings
         bare = ~s.fixed.all(axis=1)

@@ -10,7 +10,11 @@ from tenscasadi.util.validate import Array
 
 
 class ParameterQuantity(NamedTuple):
-    """Physical quantity that can be a parameter."""
+    """Physical quantity that can be a parameter.
+
+    `unit` is its unit, `item` the kind of object that has it, `least` the lower limit of its
+    values, and `part` the field of the scene that has it.
+    """
 
     unit: str
     item: str  # kind of object that has it
@@ -50,7 +54,10 @@ _ROWS, _COLUMNS = (
 
 
 def read_values(structure: Any, name: str) -> Array:
-    """Read the values of a quantity of a structure."""
+    """Read the values of a quantity of a structure, one for each item.
+
+    `name` is that of the quantity in `QUANTITIES`.
+    """
     if name == "body_mass":
         return np.array([body.mass for body in structure.bodies])
     if name == "body_inertia":
@@ -64,7 +71,10 @@ def read_values(structure: Any, name: str) -> Array:
 
 
 def build_inertia(moments: Array) -> Array:
-    """Build inertia matrices (…, 3, 3) from their six entries (…, 6)."""
+    """Build inertia matrices (…, 3, 3) from their six entries.
+
+    `moments` (…, 6) are in the order xx, yy, zz, xy, xz, yz.
+    """
     inertia = np.zeros((*moments.shape[:-1], 3, 3))
     inertia[..., _ROWS, _COLUMNS] = moments
     inertia[..., _COLUMNS, _ROWS] = moments

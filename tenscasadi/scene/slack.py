@@ -12,7 +12,9 @@ from tenscasadi.util.validate import as_tuple, instance, node_index
 def read_slack(given: Any, strings: int) -> StringLaw | tuple[StringLaw, ...]:
     """Convert the field `Scene.slack` to one string law or several.
 
-    Strings that a mapping does not name have `Clip()`. Raises TypeError or ValueError.
+    `given` is a law, or a sequence or mapping of laws for the given number of strings. Strings that
+    a mapping does not name have `Clip()`. Returns a tuple only if laws differ. Raises TypeError or
+    ValueError.
     """
     example = (
         "Clip(), Smooth(width), Linear(), or one of them for each string, such as {3: Linear()}"

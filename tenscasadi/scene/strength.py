@@ -80,10 +80,10 @@ def insert_states(scene: Any, state: Array) -> Array:
 
 
 def spread_states(scene: Any, own: Any, inputs: Indices, default: float) -> Any:
-    """Select the failure states (m,) of given cables, as a row.
+    """Select the failure states (1×m) of m cables.
 
-    Those without a strength have `default`. `inputs` are indices of cables and of strings in no
-    cable.
+    `own` has the states of all cables that can fail, as a column. `inputs` are the indices of the m
+    cables, among cables and strings in no cable. Those that cannot fail have the value `default`.
     """
     limited = scene.limited_inputs
     place = np.minimum(np.searchsorted(limited, inputs), len(limited) - 1)

@@ -111,7 +111,11 @@ class RestLength(Control, kind="RestLength"):
 
 
 class StringLaw(Value):
-    """Base class of laws of force density and elastic energy of strings."""
+    """Base class of laws of force density and elastic energy of strings.
+
+    `switches` tells whether strings go slack at an event, and `pushes` whether they can carry
+    compression.
+    """
 
     switches: ClassVar[bool]  # between taut and slack, as an event
     pushes: ClassVar[bool]  # compression-capable
@@ -124,11 +128,17 @@ class StringLaw(Value):
     def force_density(
         self, squared: Any, rest: Any, stiffness: Any, rate: Any | None, unit: Any, taut: Any = None
     ) -> Any:
-        """Build the force densities of strings, see `Clip.force_density`."""
+        """Build the force densities of strings, see `Clip.force_density`.
+
+        The arguments are those of the latter.
+        """
         raise NotImplementedError
 
     def energy(self, squared: Any, rest: Any, stiffness: Any, unit: Any) -> Any:
-        """Build the elastic energy of strings, see `Clip.energy`."""
+        """Build the elastic energy of strings, see `Clip.energy`.
+
+        The arguments are those of the latter.
+        """
         raise NotImplementedError
 
 

@@ -208,7 +208,7 @@ def _interpolate_cells(corners: Any, s: Any, t: Any) -> tuple[Any, Any, Any]:
     """Interpolate bilinearly between the corners (4×n) of cells.
 
     s and t (1×n) are fractions of the cells. Returns the values (1×n) and their derivatives with
-    respect to s and t.
+    respect to s and t. A column has the corners at (s, t) = (0, 0), (1, 0), (0, 1) and (1, 1).
     """
     value, ds = corners[0, :], corners[1, :] - corners[0, :]
     dt, mixed = corners[2, :] - value, corners[3, :] - corners[2, :] - ds

@@ -62,7 +62,10 @@ def _convert_row(entries: Any) -> Any:
 
 
 def as_numbers(value: Any) -> Any:
-    """Convert CasADi numbers and vectors to Python's and NumPy's."""
+    """Convert CasADi numbers in a value to Python floats and arrays.
+
+    The value is a number, a vector, or a list of them; others are unchanged.
+    """
     if isinstance(value, ca.DM):
         return float(value) if value.is_scalar() else value
     if isinstance(value, (list, tuple)):
@@ -79,13 +82,14 @@ def check_over_run(
 ) -> None:
     """Check the values of a function of time, and its tracing.
 
+    The run is from `first` to `last` [s]. `traced` is the CasADi Function of the Python function.
     `math` and `float` convert a CasADi time to a constant. A comparison of numbers and symbols
     finds that.
 
     Raises
     ------
     ValueError
-        If it is not. The message names `field` and the time.
+        If values are not finite, or the traced ones differ. The message names `field` and the time.
     """
     times = probe_times(first, last)
     breaks = find_breakpoints(traced, first, last)
@@ -121,7 +125,7 @@ def check_over_run(
 
 
 def format_row(values: Array) -> str:
-    """Format an array in one line."""
+    """Format an array of values in one line."""
     return " ".join(str(values).split())
 
 
@@ -133,9 +137,9 @@ def is_same(number: Array, value: Array) -> bool:
 
 
 def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
-    """Evaluate one output of a CasADi Function at times (K,).
+    """Evaluate output number `output` of a CasADi Function at times.
 
-    The result is (K, entries).
+    `traced` is a Function of the time, and `times` are (K,) [s]. The result is (K, entries).
     """
     if not len(times):
         return np.empty((0, traced.numel_out(output)))
@@ -152,11 +156,12 @@ def trace(function: Any) -> ca.Function:
 
 
 def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
-    """Interpolate linearly in a table (K, m).
+    """Interpolate linearly between the rows of a table (K, m) at a time.
 
-    The result is constant outside the times. It is filled column by column. Zeros in the table need
-    no instructions. Each value is a sum of the two entries around a time. CasADi's `pw_lin` would
-    cancel long pieces instead, and lose the digits beside a steep pulse.
+    The rows belong to `times` (K,). The result is constant outside the times. The m entries fill a
+    matrix with `rows` rows column by column. Zeros in the table need no instructions. Each value is
+    a sum of the two entries around a time. CasADi's `pw_lin` would cancel long pieces instead, and
+    lose the digits beside a steep pulse.
     """
     t = ca.SX.sym("t")
     reached = [t >= float(at) for at in times]
