@@ -122,7 +122,12 @@ class BodyAssembly:
 
 @dataclass(frozen=True, eq=False)
 class _BasicNodes:
-    """Basic nodes of one body, with weights of its other nodes."""
+    """Basic nodes of one body, with weights of its other nodes.
+
+    `basic` are the b basic nodes, without an `auxiliary` one, whose position is given. `mass` is
+    the mass matrix of both [kg]. `weights` express each of the `others` by the basic nodes. Numbers
+    refer to the nodes of the structure.
+    """
 
     basic: list[int]
     auxiliary: Array  # (0 or 1, 3)
@@ -135,7 +140,11 @@ class _BasicNodes:
 
 @dataclass(eq=False)
 class _Found:
-    """Collected bars, mass matrix and affine relations of all bodies."""
+    """Collected bars, mass matrix and affine relations of all bodies.
+
+    `pairs` are the end nodes of the massless bars, and `body` is the body of each. For `relations`
+    see `_solve_relations`, for the others `BodyAssembly`.
+    """
 
     pairs: list[tuple[int, ...]]
     body: list[int]
@@ -219,10 +228,11 @@ def assemble_bodies(structure: Any) -> BodyAssembly | None:
 
 
 def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes:
-    """Choose the basic nodes of a body.
+    """Choose the basic nodes of body number k.
 
-    Their mass matrix and the weights of the other nodes follow. Raises ValueError if its nodes do
-    not fit its inertia.
+    `nodes` (n, 3) are those of the structure, and `preferred` (n,) flags nodes that are chosen if
+    possible. The mass matrix of the basic nodes and the weights of the other nodes follow. Raises
+    ValueError if the body's nodes do not fit its inertia.
     """
     own = np.array(body.nodes, dtype=np.intp)
     X = nodes[own]
@@ -272,7 +282,9 @@ def _build_frame(k: int, body: Any, nodes: Array, preferred: Any) -> _BasicNodes
 def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, float]:
     """Choose affinely independent nodes whose span contains the others.
 
-    X are positions (k, 3). Returns their indices, orthonormal directions (3, d) and the size [m].
+    X are the positions of the nodes of body number k, in rows, and `preferred` flags those that are
+    chosen if possible. Returns the chosen rows, orthonormal directions (3, d) of the span, and the
+    size of the body [m].
     """
     spread = np.linalg.norm(X - X.mean(axis=0), axis=1)
     size = 2 * float(spread.max())
@@ -303,7 +315,8 @@ def _choose_basic(k: int, X: Array, preferred: Any) -> tuple[list[int], Array, f
 def _extent_outside(own: Any, origin: Array, Q: Array) -> float:
     """Compute how far a body's mass extends from a plane or line [m].
 
-    The plane or line contains `origin` and the orthonormal directions Q (3, d).
+    `own` are the mass properties of the body. The plane or line contains `origin` and the
+    orthonormal directions Q (3, d).
     """
     across = np.eye(3) - Q @ Q.T
     gyration = np.sqrt(max(float(np.trace(across @ own.moments @ across)), 0.0) / own.mass)
@@ -319,6 +332,7 @@ def _solve_relations(
 
     A relation is a body and coefficients by node whose weighted sum of positions vanishes.
     Dependent nodes have no supports. Returns the weights of independent nodes by dependent node.
+    `basic` are the basic nodes of all bodies, which become dependent only if no other node can.
     """
     columns = sorted({node for _, relation in relations for node in relation})
     real = np.array([node < len(structure.nodes) for node in columns], dtype=bool)
@@ -353,7 +367,11 @@ def _solve_relations(
 
 
 def _build_spread(rows: dict[int, dict[int, float]], size: int) -> csr_array:
-    """Build the matrix (size, size) from independent nodes to all nodes."""
+    """Build the matrix (size, size) from independent nodes to all nodes.
+
+    `rows` has the weights of independent nodes by dependent node. Other nodes have weight 1 on
+    themselves.
+    """
     entries = [(node, node, 1.0) for node in range(size) if node not in rows]
     entries += [
         (node, other, weight) for node, own in rows.items() for other, weight in own.items()

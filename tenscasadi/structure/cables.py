@@ -77,7 +77,8 @@ def find_directions(
 ) -> list[tuple[int, int]]:
     """Find start and end node of each string along a cable.
 
-    Raises ValueError if the strings do not meet end to end.
+    `strings` (α, 2) are the end nodes of all strings, and `cable` the indices of its strings in
+    order. Raises ValueError, naming `field`, if the strings do not meet end to end.
     """
     first, *others = cable
     a, b = strings[first].tolist()
@@ -123,7 +124,8 @@ def name_inputs(structure: Any) -> list[str]:
 def select_first(cable_of: Indices) -> Indices:
     """Select the first string of each control input.
 
-    Inputs belong to cables, and to strings in no cable.
+    Inputs belong to cables, and to strings in no cable. `cable_of` (α,) is the input of each
+    string. Returns string indices (inputs,).
     """
     return np.unique(cable_of, return_index=True)[1].astype(np.intp)
 
@@ -131,7 +133,8 @@ def select_first(cable_of: Indices) -> Indices:
 def add_compliances(cable_of: Indices, stiffness: Array) -> Array:
     """Compute the stiffness (m,) of each cable [N/m].
 
-    Its strings, with stiffness (α,), are springs in series.
+    The strings of a cable, with `stiffness` (α,), are springs in series. `cable_of` (α,) is the
+    cable of each string; a string in no cable counts as one.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(1 / np.bincount(cable_of, weights=1 / stiffness))
@@ -147,7 +150,10 @@ def find_units(structure: Any) -> Indices:
 
 
 def pair_strings(cables: Cables) -> Indices:
-    """List all pairs (k, 2) of strings that belong to one cable."""
+    """List all pairs (k, 2) of strings that belong to one cable.
+
+    `cables` has the string indices of each cable.
+    """
     pairs = [pair for cable in cables for pair in combinations(cable, 2)]
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
@@ -206,8 +212,9 @@ def _read_cable(field: str, given: Any, count: int) -> tuple[int, ...]:
 
 
 def _number_inputs(cables: Cables, count: int) -> Indices:
-    """Assign the number of its control input to each string.
+    """Assign the number of its control input to each string (count,).
 
+    Each of the `cables` is the list of its strings and has one input; other strings have one each.
     Inputs are in the order of their first strings.
     """
     first = np.arange(count)

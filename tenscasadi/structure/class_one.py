@@ -77,7 +77,11 @@ class ClassOne(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """Columns of the class-one matrices for each node and member."""
+    """Columns of the class-one matrices for each node and member.
+
+    There are n' columns. `bar_columns` and `string_columns` have the end columns of each member,
+    and `P` (n', c) the joints and pins, see `ClassOne`.
+    """
 
     physical: Indices  # (n',) physical node of each column
     bar_columns: Indices  # (β, 2) first and second end
@@ -89,7 +93,8 @@ class Layout(NamedTuple):
 class MatrixInput(NamedTuple):
     """Structure that was read from the paper's matrices.
 
-    `layout` is None if bars share columns.
+    `bars` and `strings` are pairs of rows of `nodes`; `pinned` are such rows, and `node_mass` is in
+    kg. `layout` is None if bars share columns.
     """
 
     nodes: Array  # (n, 3)
@@ -137,9 +142,10 @@ def distances(nodes: Array, pairs: Indices) -> Array:
 
 
 def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array:
-    """Compute member lengths [m].
+    """Compute member lengths (m,) [m].
 
-    Raises ValueError if one is zero.
+    `nodes` are (n, 3), and `pairs` (m, 2) are the end nodes of the members. Raises ValueError if a
+    length is zero. The message names `field` and the kind of `item`, such as "bar".
     """
     lengths = distances(nodes, pairs)
     for i in np.flatnonzero(lengths < max(ROUNDING * np.abs(nodes).max(), SMALLEST)):
@@ -154,16 +160,20 @@ def member_lengths(field: str, nodes: Array, pairs: Indices, item: str) -> Array
 
 
 def selection_matrix(columns: Indices, count: int) -> csr_array:
-    """Build the rows of the identity matrix that select `columns`."""
+    """Build the rows of the identity matrix that select `columns`.
+
+    The matrix is (columns, count).
+    """
     return csr_array(
         (np.ones(len(columns)), (np.arange(len(columns)), columns)), shape=(len(columns), count)
     )
 
 
 def bar_mass_matrix(bars: Indices, inertia: Array, mass: Array, count: int) -> csr_array:
-    """Compute the mass matrix of bars (Eq. 59) [kg].
+    """Compute the mass matrix (count, count) of bars (Eq. 59) [kg].
 
-    It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b|. Bars can share nodes.
+    It is C_bᵀ Ĵ C_b + C_rᵀ m̂ C_r with C_r = ½|C_b|, `inertia` J and `mass` m (β,). `bars` (β, 2)
+    are the end nodes of bars, which can share nodes.
     """
     C_b = connectivity(bars, count)
     C_r = 0.5 * abs(C_b)
@@ -174,7 +184,8 @@ def default_layout(count: int, bars: Indices, strings: Indices, pinned: Indices)
     """Choose the default columns of the class-one matrices.
 
     N consists of the first ends of bars, their second ends, and the string nodes. In P the joints
-    come first, in node order, then the pins.
+    come first, in node order, then the pins. The structure has `count` nodes, of which some are
+    `pinned`; `bars` and `strings` are pairs of nodes.
     """
     physical = np.concatenate([bars[:, 0], bars[:, 1], np.setdiff1d(np.arange(count), bars)])
     # strings, masses and pins are attached to the first copy of a node
@@ -215,7 +226,8 @@ def class_one(
 ) -> ClassOne:
     """Compute the class-one matrices of a layout.
 
-    Inputs are nodes (n, 3), bar inertia J and mass m (β,), and point masses (n,).
+    `nodes` (n, 3) are positions [m]. Bars have the `inertia` J and the `mass` m (β,), nodes the
+    point masses `node_mass` (n,) [kg]. If `sparse`, matrices other than N and D are ``csr_array``.
     """
     count = len(layout.physical)
     N = nodes[layout.physical].T
@@ -244,7 +256,7 @@ def class_one(
 def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: Any) -> MatrixInput:
     """Convert the paper's matrices to nodes, bars and strings.
 
-    See `Structure.from_matrices`. Raises TypeError or ValueError.
+    The arguments are those of `Structure.from_matrices`. Raises TypeError or ValueError.
     """
     columns = finite_array("N", N, (3, None)).T
     count = len(columns)
@@ -292,7 +304,7 @@ def read_matrices(N: ArrayLike, C_b: Any, C_s: Any, P: Any, D: Any, node_mass: A
 def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> Array:
     """Convert a matrix to a finite array of given shape.
 
-    None or an empty value has the size 0 in unspecified dimensions.
+    None or an empty value has the size 0 in unspecified dimensions. Messages name `field`.
     """
     dense = value.toarray() if issparse(value) else value
     if (
@@ -305,7 +317,11 @@ def _dense(field: str, value: Matrix, shape: tuple[int | None, int | None]) -> A
 
 
 def _member_columns(field: str, value: Any, count: int, item: str) -> Indices:
-    """Read the node columns (members, 2) from a connectivity matrix."""
+    """Read the node columns (members, 2) from a connectivity matrix.
+
+    The matrix `value` has `count` columns, and each row has −1 at the first and +1 at the second
+    end of a member. Messages name `field` and the kind of `item`, such as "bar".
+    """
     matrix = _dense(field, value, (None, count))
     good = (
         (np.sum(matrix == -1.0, axis=1) == 1)
@@ -328,8 +344,8 @@ def _read_joints(
 ) -> tuple[list[tuple[int, int]], list[int], csr_array]:
     """Read joints and pins from the constraints N P = D.
 
-    Returns pairs of joined columns, pinned columns, and P. They are in column order. Columns of P
-    must be independent.
+    `columns` (n', 3) are the columns of N. Returns pairs of joined columns of N, pinned ones, and P.
+    They are in the order of the columns of P, which must be independent.
     """
     count = len(columns)
     P = _dense("P", P, (count, None))

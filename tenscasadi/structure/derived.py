@@ -32,7 +32,8 @@ def write_derived(structure: Any) -> dict[str, Array]:
 def read_derived(given: Mapping[str, Any], structure: Any) -> dict[str, Any]:
     """Read and check derived attributes of a structure.
 
-    Empty attributes may be missing. Raises ValueError.
+    `given` has arrays by name, from `write_derived`. Empty attributes may be missing. Returns the
+    attributes by name. Raises ValueError.
     """
     columns = len(np.atleast_1d(given.get("physical", ())))
     bars, strings = len(structure.bars), len(structure.strings)

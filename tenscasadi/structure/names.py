@@ -19,10 +19,10 @@ _MEMBER = re.compile(r"(.*)\[\d+\]")  # name of a member of a group, such as "gu
 
 
 def read_names(field: str, value: Any, count: int) -> tuple[str, ...]:
-    """Read the names of items, "" for unnamed items.
+    """Read the names of `count` items, "" for unnamed items.
 
-    The result is empty if no item has a name. Raises TypeError or ValueError, also for duplicate
-    names and names that are numbers.
+    `value` is a sequence of names for the field `field`. The result is empty if no item has a name.
+    Raises TypeError or ValueError, also for duplicate names and names that are numbers.
     """
     names = tuple(text(field, name) for name in as_tuple(field, value, '["foot", "top"]'))
     if names and len(names) != count:
@@ -62,17 +62,27 @@ def name_members(groups: Iterable[tuple[str, int]]) -> list[str]:
 
 
 def name_segments(names: Sequence[str], counts: Sequence[int]) -> list[str]:
-    """Name the segments of strings."""
+    """Name the segments of strings, such as "guy[0]".
+
+    `names` are those of the strings, and `counts` their numbers of segments. The result is empty
+    without names.
+    """
     return name_members(zip(names, counts, strict=True)) if names else []
 
 
 def extend_names(names: Sequence[str], count: int) -> list[str]:
-    """Append unnamed items up to a count."""
+    """Append unnamed items ("") to names, up to a count.
+
+    The result is empty if there are no names.
+    """
     return [*names, *[""] * (count - len(names))] if names else []
 
 
 def reset_item_fields(structure: Any, changes: dict[str, Any]) -> None:
-    """Reset names of items, and cable friction, if the number changes."""
+    """Reset names of items, and cable friction, if the number changes.
+
+    `changes` are new field values of the structure by name. Defaults are added to them in place.
+    """
     for part, field, default in (
         ("nodes", "node_names", ()),
         ("strings", "string_names", ()),
@@ -93,7 +103,7 @@ def label(names: Sequence[str], index: int) -> str:
 def find_named(text: str, structure: Any) -> dict[str, str]:
     """Find the names of members that a message mentions by index.
 
-    An example is {"string 3": "guy"}.
+    `text` is the message. An example of the result is {"string 3": "guy"}.
     """
     found = {}
     for match in _INDEXED.finditer(text):
@@ -107,7 +117,8 @@ def find_named(text: str, structure: Any) -> dict[str, str]:
 def add_names(text: str, structure: Any) -> str:
     """Append the names of members to a message that has indices only.
 
-    "string 3 is slack" becomes "string 3 is slack (string 3: guy)" if that string is called "guy".
+    The `text` "string 3 is slack" becomes "string 3 is slack (string 3: guy)" if that string is
+    called "guy".
     """
     named = [f"{member}: {name}" for member, name in find_named(text, structure).items()]
     missing = ", ".join(part for part in named if part not in text)
@@ -136,7 +147,11 @@ def name_errors(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _find_structure(owner: Any, depth: int = 3) -> Any:
-    """Find the structure of an object; None without one."""
+    """Find the structure of an object; None without one.
+
+    It can be the `owner` itself, or an attribute such as its model, scene or structure, up to
+    `depth` levels below.
+    """
     own = getattr(owner, "__dict__", {})
     if "node_names" in own or not depth:
         return owner if "node_names" in own else None
@@ -148,8 +163,9 @@ def _find_structure(owner: Any, depth: int = 3) -> Any:
 def find_names(counts: Mapping[Any, int], names: Mapping[Any, Sequence[str]]) -> Names:
     """Find the indices of items by their names and group names.
 
-    Names such as "guys[2]" belong to the group "guys". The segment "guys[2][0]" of a string belongs
-    to the groups "guys[2]" and "guys".
+    `counts` has the number of items of each kind, such as "node", and `names` their names. Names
+    such as "guys[2]" belong to the group "guys". The segment "guys[2][0]" of a string belongs to
+    the groups "guys[2]" and "guys".
     """
     found: dict[Any, dict[str, list[int]]] = {}
     for which, own in names.items():

@@ -22,9 +22,10 @@ Normals = tuple[tuple[float, float, float], ...]
 
 
 def read_pins(pinned: Any, names: Names) -> Mapping[int, str]:
-    """Read the pinned axes by node.
+    """Read the pinned axes, such as "xz", by node.
 
-    Nodes and axes are in order. Raises TypeError or ValueError.
+    `pinned` is the argument of `Structure`, and `names` are those of its nodes. Nodes and axes are
+    in order. Raises TypeError or ValueError.
     """
     pinned = names.resolve_keys("pinned", "node", names.resolve_all("pinned", "node", pinned))
     try:
@@ -60,8 +61,9 @@ def read_rollers(
 ) -> tuple[Mapping[int, str], Mapping[int, Normals]]:
     """Separate rollers along axes from inclined ones.
 
-    Returns the pins, which include axis-aligned rollers, and by node one or two orthonormal normals
-    of inclined rollers. Raises TypeError or ValueError.
+    `rollers` is the argument of `Structure`, `pins` are the pinned axes by node, and `names` those
+    of its nodes. Returns the pins, which include axis-aligned rollers, and by node one or two
+    orthonormal normals of inclined rollers. Raises TypeError or ValueError.
     """
     if not isinstance(rollers, Mapping):
         raise TypeError(
@@ -103,9 +105,10 @@ def read_axes(
 
 
 def _orthonormalize(field: str, given: Any) -> Array:
-    """Orthonormalize one or two directions (k, 3).
+    """Orthonormalize one or two directions.
 
-    Orthonormal input is returned unchanged.
+    `given` is one vector (3,) or an array (k, 3); the result is (k, 3). Orthonormal input is
+    returned unchanged. Messages name `field`.
     """
     directions = np.atleast_2d(
         finite_array(field, given, (3,) if nesting(given) < 2 else (None, 3))

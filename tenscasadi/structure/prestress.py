@@ -83,7 +83,7 @@ def find_rest_lengths(
 def check_cable_tensions(structure: Any, gamma: Array) -> None:
     """Check that the tensions of a cable differ by friction only.
 
-    Raises ValueError.
+    `gamma` (α,) are the force densities of the strings [N/m]. Raises ValueError.
     """
     tension = gamma * structure.string_lengths
     for k, (cable, friction) in enumerate(

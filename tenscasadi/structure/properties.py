@@ -79,8 +79,9 @@ def read_properties(
 def _read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict[str, Any]:
     """Read the properties of elastic bars.
 
-    A bar of stiffness inf or None is rigid, a rest length NaN or None is the length of the bar.
-    Raises TypeError or ValueError.
+    A bar of `stiffness` inf or None [N/m] is rigid. A `rest_length` NaN or None is the length of
+    the bar, see `lengths` (β,) [m]. Returns attributes of `Structure` by name. Raises TypeError or
+    ValueError.
     """
     k = _read_entries("bar_stiffness", stiffness, len(lengths), np.inf)
     for bar in np.flatnonzero(~(k >= SMALLEST)):
@@ -99,7 +100,10 @@ def _read_elastic_bars(stiffness: Any, rest_length: Any, lengths: Array) -> dict
 
 
 def _read_entries(field: str, given: Any, count: int, absent: float) -> Array:
-    """Read one number for each bar, `absent` for None."""
+    """Read one number for each bar, `absent` for None.
+
+    `given` is one number for all, or one for each of the `count` bars. Messages name `field`.
+    """
     if given is None:
         return np.full(count, absent)
     if not nesting(given):

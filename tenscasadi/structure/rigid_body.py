@@ -157,9 +157,10 @@ class RigidBody(Value, kind="RigidBody"):
 
 
 def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
-    """Read the bodies of a structure.
+    """Read the bodies of a structure, with node names replaced by indices.
 
-    Raises TypeError or ValueError.
+    `given` is the argument of `Structure`, and `names` are those of its nodes. Raises TypeError or
+    ValueError.
     """
     example = "give a list of tenscasadi.RigidBody"
     if isinstance(given, RigidBody) or not isinstance(given, Iterable):
@@ -194,16 +195,18 @@ def reject_bodies(structure: Any, user: str) -> None:
 def move_bodies(bodies: Iterable[RigidBody], before: Array, after: Any) -> tuple[RigidBody, ...]:
     """Move bodies with the nodes (n, 3) of a structure.
 
-    Raises TypeError or ValueError.
+    The nodes are at `before` and then at `after` [m]; see `RigidBody.follow`. Raises TypeError or
+    ValueError.
     """
     nodes = finite_array("nodes", after, before.shape)
     return tuple(body.follow(before[list(body.nodes)], nodes[list(body.nodes)]) for body in bodies)
 
 
 def _read_inertia(given: Any) -> Array:
-    """Read an inertia matrix (3, 3) [kg m²].
+    """Convert an inertia, or its diagonal, to a matrix (3, 3) [kg m²].
 
-    Raises TypeError, or ValueError if no mass distribution has it.
+    `given` is the matrix (3, 3) or the diagonal (3,). Raises TypeError, or ValueError if no mass
+    distribution has it.
     """
     shape = (3,) if nesting(given) < 2 else (3, 3)
     matrix = np.array(finite_array("RigidBody.inertia", given, shape))
@@ -229,9 +232,9 @@ def _read_inertia(given: Any) -> Array:
 
 
 def _read_faces(given: Any) -> tuple[tuple[IndexOrName, ...], ...]:
-    """Read triangles between nodes.
+    """Convert triangles between nodes to tuples.
 
-    Raises TypeError or ValueError.
+    `given` are triples of node names or indices. Raises TypeError or ValueError.
     """
     found = []
     for k, face in enumerate(as_tuple("RigidBody.faces", given, "[(0, 1, 2)]")):

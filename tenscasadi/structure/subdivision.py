@@ -27,7 +27,10 @@ ENDS = ("interior", "lumped", "consistent")
 
 
 class Division(NamedTuple):
-    """Fields of a structure that change when strings are divided."""
+    """Fields of a structure that change when strings are divided.
+
+    `fields` are keywords of `Structure` by name, and `derived` other attributes by name.
+    """
 
     fields: dict[str, Any]
     derived: dict[str, Any]
@@ -101,7 +104,11 @@ def divide_strings(structure: Any, segments: Any, ends: Any, fractions: Any) -> 
 
 
 def average_segments(values: Array, parent: Indices, fraction: Array) -> Array:
-    """Average values (..., α) of segments over each parent string."""
+    """Average values (..., α) of segments over each parent string.
+
+    `parent` (α,) is the parent string of each segment, and `fraction` (α,) its part of the parent's
+    length, which is its weight.
+    """
     weight = np.zeros((len(parent), int(parent.max(initial=-1)) + 1))
     weight[np.arange(len(parent)), parent] = fraction
     return np.asarray(values @ (weight / weight.sum(axis=0)))
@@ -153,7 +160,8 @@ def cut_strings(
 def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> list[int]:
     """Read the number of segments of each string.
 
-    Raises TypeError or ValueError.
+    Raises TypeError or ValueError. `segments` is one number for all strings, or one for each;
+    `strings` is the number of strings.
     """
     if not isinstance(segments, (Sequence, np.ndarray)):
         most = max(MAX_COUNT // max(strings, 1), 1)
@@ -173,7 +181,7 @@ def segment_counts(segments: int | Sequence[int] | Indices, strings: int) -> lis
 def segment_shares(count: int, fractions: ArrayLike | None) -> Array:
     """Read segment lengths as fractions of a string, equal by default.
 
-    Raises TypeError or ValueError.
+    The string has `count` segments. Raises TypeError or ValueError.
     """
     if fractions is None:
         return np.full(count, 1.0 / count)

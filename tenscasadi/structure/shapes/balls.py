@@ -228,7 +228,7 @@ def _truncate(
     """Build a ball of bars on a truncated polyhedron.
 
     `corner` is a vertex of the polyhedron, shared by `order` faces, and `edge` the midpoint of an
-    edge at this vertex.
+    edge at this vertex. The other arguments are those of `truncated_tetrahedron`.
     """
     length, ratio = (
         positive_number("bar_length", bar_length),
@@ -257,7 +257,8 @@ def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
     """Find the node whose images by symmetry form an equilibrium.
 
     The nodes are its images under all rotations of the polyhedron. Strings connect it to its images
-    under a, a⁻¹ (force density 1) and b (`ratio`), and a bar connects it to its image under c.
+    under the rotations a, a⁻¹ (force density 1) and b (`ratio`), and a bar connects it to its image
+    under c. Rotations are matrices (3, 3). Returns the direction (3,) of the node, of any length.
     """
     eye = np.eye(3)
     strings = a + a.T - 2 * eye + ratio * (b - eye)
@@ -270,7 +271,7 @@ def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
 
 
 def _rotate(axis: Array, angle: float) -> Array:
-    """Compute the rotation (3×3) about an axis."""
+    """Compute the matrix (3×3) of a rotation about an axis by an angle [rad]."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
@@ -279,7 +280,7 @@ def _rotate(axis: Array, angle: float) -> Array:
 def _images(rotations: list[Array], turn: Array) -> Indices:
     """Find the indices of the products rotation · turn in a group.
 
-    `rotations` are all elements of the group.
+    `rotations` are all elements of the group, as matrices (3, 3), and `turn` is one of them.
     """
     flat = np.array(rotations).reshape(-1, 9)
     images = (np.array(rotations) @ turn).reshape(-1, 9)

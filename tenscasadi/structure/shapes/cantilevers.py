@@ -173,7 +173,8 @@ def _arm_stress(cells: int, p: int) -> Array:
     """Compute the string force densities of the self-stress.
 
     They are ordered cell by cell, and 1 along x. The force density of bars is 2 + 2/p, positive in
-    compression, or 2/p for bars that end at the tip.
+    compression, or 2/p for bars that end at the tip. The arm has the given number of cells with p
+    nodes in each ring.
     """
     pushes = np.full(cells, 2 * (2 + 2 / p))  # of both bars of a ring's node
     pushes[-1] = 2 + 4 / p

@@ -195,7 +195,7 @@ def _dome(
     prestress: float | None,
     options: dict[str, Any],
 ) -> Structure:
-    """Build a cable dome; for the dimensions see `geiger_dome`.
+    """Build a cable dome; for its dimensions and options see `geiger_dome`.
 
     Strings lead from node i to the nodes i + shift of the next ring, for all `shifts`.
     """
@@ -221,9 +221,11 @@ def _dome(
 
 
 def _dome_nodes(p: int, hoops: int, radius: float, rise: float, post: float, turned: bool) -> Array:
-    """Compute the nodes of a cable dome.
+    """Compute the nodes of a cable dome, as rows (n, 3) [m].
 
-    They are the central post, tops and bottoms of each hoop, and the pinned ring.
+    They are the central post, tops and bottoms of each of the `hoops` with p posts, and the pinned
+    ring. `radius`, `rise` and `post` are those of `geiger_dome`. If `turned`, each ring outside the
+    first hoop is rotated by half a segment.
     """
     nodes = [np.array([(0.0, 0.0, rise), (0.0, 0.0, rise - post)])]
     for k in range(1, hoops + 2):

@@ -39,9 +39,12 @@ def build_structure(
 ) -> Structure:
     """Build a structure from named groups of members.
 
-    Member k of a group is named ``name[k]``; a single member has the name itself, and members of the
-    group "" have no names. `prestress` is the smallest force density of the self-stress. The
-    self-stress is proportional to `stress` (α,) if that is given, else equal within groups.
+    `nodes` are (n, 3) [m]. `bars` and `strings` have the node pairs (members, 2) of each group by
+    name, `node_groups` the name and size of each group of nodes. Member k of a group is named
+    ``name[k]``; a single member has the name itself, and members of the group "" have no names.
+    `options` are other keywords of `Structure`. `prestress` is the smallest force density of the
+    self-stress [N/m]; None: no self-stress. The self-stress is proportional to `stress` (α,) if
+    that is given, else equal within groups.
     """
     bar_pairs, string_pairs = (
         np.concatenate([*groups.values()] or [np.zeros((0, 2), dtype=int)])
@@ -70,7 +73,7 @@ def symmetric_self_stress(
 
     A self-stress of the structure without its supports is preferred to one with them. Its scale is
     arbitrary. Raises ValueError if there is no such self-stress with all strings in tension, or
-    more than one.
+    more than one. `bars` and `strings` are node pairs (members, 2) of each group.
     """
     sizes = [len(pairs) for pairs in (*strings, *bars)]
     count = sum(sizes)
@@ -95,7 +98,8 @@ def symmetric_self_stress(
 def place_ring(count: int, radius: float, start: float, z: float) -> Array:
     """Compute points (count, 3) equally spaced on a circle.
 
-    The circle surrounds the z axis. The first point is at the angle `start`.
+    The circle of this radius surrounds the z axis at height z. The first point is at the angle
+    `start` [rad].
     """
     angles = start + 2 * np.pi * np.arange(count) / count
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, z)])

@@ -117,7 +117,11 @@ def membrane_faces(p: int = 8, q: int = 5) -> Indices:
 
 
 def _membrane_neighbors(p: int, q: int) -> tuple[Indices, Indices, Indices]:
-    """Find each node's previous and next node on its ring."""
+    """Find each node's previous and next node on its ring.
+
+    There are q rings of p nodes. Returns all nodes, their previous and their next nodes, each (p
+    q,).
+    """
     ring = np.arange(p * q)
     first = ring - ring % p
     return ring, first + (ring - 1) % p, first + (ring + 1) % p

@@ -160,8 +160,8 @@ def t_bar(
 def _beside(nodes: Array, a: Indices, b: Indices, offset: float) -> Array:
     """Compute two points beside the midpoint of each bar.
 
-    They lie to the right and to the left of the bar (a, b). Their distance from the midpoint is
-    `offset` times the length of the bar.
+    They lie to the right and to the left of the bar (a, b) in the plane of x and y. `nodes` are (n,
+    3). The distance from the midpoint is `offset` times the length of the bar.
     """
     right = offset * (nodes[b] - nodes[a])[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
     middle = 0.5 * (nodes[a] + nodes[b])

@@ -101,17 +101,18 @@ def prism(
 
 
 def equilibrium_twist(bars: int) -> float:
-    """Compute the equilibrium twist of a prism [rad].
+    """Compute the equilibrium twist of a prism of p bars [rad].
 
-    Without diagonals, the prism has a self-stress only at this twist.
+    Without diagonals, the prism has a self-stress only at this twist, the angle between the ends of
+    a bar about the axis.
     """
     return np.pi / 2 + np.pi / bars
 
 
 def check_twist(prestress: float | None, bars: int, twist: float) -> None:
-    """Check that a prestressed prism has a self-stress.
+    """Check that a prism without diagonals has a self-stress if prestressed.
 
-    Raises ValueError.
+    The arguments are those of `prism`. Raises ValueError.
     """
     balanced = equilibrium_twist(bars)
     if prestress is not None and not np.isclose(twist, balanced, rtol=0.0, atol=1e-12):

@@ -27,7 +27,10 @@ _TRIALS = 100  # overlaps at which the sign of the determinant is evaluated
 
 
 class _Tower(NamedTuple):
-    """Nodes and groups of members of a tower."""
+    """Nodes and groups of members of a tower.
+
+    `nodes` are (n, 3) [m]; `bars` and `strings` have the node pairs of each group by name.
+    """
 
     nodes: Array
     bars: dict[str, Indices]
@@ -126,7 +129,8 @@ def prism_tower(
 def _stack(stages: int, p: int, radius: float, height: float, turn: float) -> _Tower:
     """Build a tower of class 2, whose stages share nodes.
 
-    `turn` is the angle between the rings of a stage [rad].
+    It has `stages` of p bars, with rings of this radius and stages of this height [m]. `turn` is
+    the angle between the rings of a stage [rad].
     """
     i = np.arange(p)
     leaning = [(-1) ** s for s in range(stages)]
@@ -144,7 +148,7 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
     """Build a tower of class 1 whose overlap permits a self-stress.
 
     Stages overlap along z by a length that is found by bisection. At this overlap, the square
-    equilibrium matrix of one node of each ring is singular.
+    equilibrium matrix of one node of each ring is singular. The arguments are those of `_stack`.
     """
 
     def build(overlap: float) -> _Tower:
@@ -171,7 +175,10 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
 def _build_class_one(
     stages: int, p: int, radius: float, height: float, turn: float, overlap: float
 ) -> _Tower:
-    """Build a tower of class 1 with given overlap [m]."""
+    """Build a tower of class 1 whose stages overlap by a length [m].
+
+    The other arguments are those of `_stack`.
+    """
     i, nodes, angle = np.arange(p), [], 0.0
     strings = {"polygon0": polygon(i), "polygon1": polygon((2 * stages - 1) * p + i)}
     bars: dict[str, Indices] = {}
@@ -201,7 +208,7 @@ def _ring_balance(tower: _Tower, p: int) -> Array:
 
     The tower is symmetric. Rows are radial, tangential and z forces on these nodes. Columns are
     groups of bars, then of strings. Two rows are omitted, which are dependent because of the
-    rigid-body translation and rotation about z.
+    rigid-body translation and rotation about z. Each ring has p nodes.
     """
     groups = [*tower.bars.values(), *tower.strings.values()]
     forces = np.zeros((len(tower.nodes), 3, len(groups)))
@@ -220,7 +227,8 @@ def _ring_balance(tower: _Tower, p: int) -> Array:
 def _join(p: int, lower: int, upper: int, shift: int) -> Indices:
     """Build node pairs between two rings of p nodes.
 
-    Node i of the lower ring is paired with node i + shift of the upper ring.
+    Node i of the lower ring is paired with node i + shift of the upper ring. Rings are given by
+    their numbers `lower` and `upper`, from below.
     """
     i = np.arange(p)
     return np.asarray(np.c_[lower * p + i, upper * p + (i + shift) % p])
