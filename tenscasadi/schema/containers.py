@@ -18,14 +18,15 @@ from tenscasadi.util.validate import format_value
 class MapOf(FieldType):
     """Field type of a table from nodes, bars or strings to values.
 
-    The name of a group stands for all its members.
+    `which` is "node", "bar" or "string", and `type` the type of the values. The name of a group
+    stands for all its members.
     """
 
     which: ItemKind
     type: FieldType
 
     def read(self, item: Item) -> dict[int, Any]:
-        """Read the values by index."""
+        """Read a table of a file, `item`, as values by index."""
         found: dict[int, Any] = {}
         for word, entry in item.table(f"a table from {self.which}s to values").items():
             value = self.type.read(entry)
@@ -36,7 +37,7 @@ class MapOf(FieldType):
         return found
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Write a table."""
+        """Convert a mapping `value` to a table of a file."""
         key = Index(self.which)
         return {str(key.write(index)): self.type.write(entry) for index, entry in value.items()}
 
@@ -45,7 +46,10 @@ class MapOf(FieldType):
         return {"type": "object", "additionalProperties": self.type.schema(kinds)}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices, among keys and in values."""
+        """Replace names by indices, among keys and in values.
+
+        `value` is a mapping, `names` are those of the structure, and messages name `field`.
+        """
         return names.resolve_keys(
             field, self.which, _resolve_values(field, value, lambda word: self.type, names)
         )
@@ -64,7 +68,7 @@ class TableOf(FieldType):
     type: FieldType | Mapping[str, FieldType]
 
     def read(self, item: Item) -> dict[str, Any]:
-        """Read the values by word."""
+        """Read a table of a file, `item`, as values by word."""
         found = {}
         for word, entry in item.table().items():
             if isinstance(self.type, Mapping) and word not in self.type:
@@ -73,7 +77,7 @@ class TableOf(FieldType):
         return found
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Write a table."""
+        """Convert a mapping `value` to a table of a file."""
         return {str(word): self._type(word).write(entry) for word, entry in dict(value).items()}
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -84,7 +88,10 @@ class TableOf(FieldType):
         return {"type": "object", "properties": entries, "additionalProperties": False}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in the values."""
+        """Replace names of nodes, bars and strings by indices in the values.
+
+        `value` is a mapping, `names` are those of the structure, and messages name `field`.
+        """
         return _resolve_values(field, value, self._type, names)
 
     def _type(self, word: str) -> FieldType:
@@ -94,9 +101,10 @@ class TableOf(FieldType):
 def _resolve_values(
     field: str, value: Any, choose: Callable[[Any], FieldType], names: Names
 ) -> Any:
-    """Replace names by indices in the values of a mapping.
+    """Replace names of nodes, bars and strings by indices in a mapping's values.
 
-    `choose` finds the type of the value of a key.
+    `choose` finds the type of the value of a key. `names` are those of the structure, and messages
+    name `field`. Other values are returned unchanged.
     """
     if not isinstance(value, Mapping):
         return value
@@ -129,7 +137,7 @@ class Either(FieldType):
     unless: str = ""
 
     def read(self, item: Item) -> Any:
-        """Read an entry by the type that fits."""
+        """Read an entry of a file, `item`, by the type that fits."""
         return self._choose(item.value).read(item)
 
     def write(self, value: Any) -> Any:
@@ -141,7 +149,10 @@ class Either(FieldType):
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices, by the type that fits."""
+        """Replace names by indices in a value, by the type that fits.
+
+        See `FieldType.resolve`.
+        """
         return self._choose(value).resolve(field, value, names)
 
     def _choose(self, value: Any) -> FieldType:
@@ -150,7 +161,11 @@ class Either(FieldType):
 
 
 def for_items(which: ItemKind, type: FieldType, other: FieldType) -> Either:
-    """Build the type of a table by nodes, bars or strings, or another type."""
+    """Build the type of a table by nodes, bars or strings, or another type.
+
+    `which` is "node", "bar" or "string", `type` the type of the values of a table, and `other` that
+    of anything else.
+    """
     return Either((Mapping,), MapOf(which, type), other)
 
 
@@ -159,7 +174,10 @@ class NodeForceTable(FieldType):
     """Field type of forces on all or some nodes, also over time."""
 
     def read(self, item: Item) -> Any:
-        """Read forces (n, 3), (K, n, 3) or a function of time."""
+        """Read forces (n, 3), (K, n, 3) or a function of time from a file.
+
+        `item` is an array, or a table by node, of n nodes and K times.
+        """
         if not isinstance(item.value, dict):
             return varying(None, 3).read(item)
         given: dict[int, Any] = MapOf("node", varying(3)).read(item)
@@ -177,7 +195,7 @@ class NodeForceTable(FieldType):
             raise item.error("has tables of several lengths: give each as many rows") from None
 
     def write(self, value: Any) -> Any:
-        """Write a table of the nodes that have forces."""
+        """Convert forces `value` to a table of the nodes that have forces."""
         written = varying(None, 3).write(value)
         if callable(value):
             return written
@@ -186,7 +204,11 @@ class NodeForceTable(FieldType):
         return {str(node): array[node].tolist() for node in some}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Convert a mapping of forces by node to an array."""
+        """Convert a mapping of forces by node to an array (n, 3) or (K, n, 3).
+
+        `names` are those of the structure, and messages name `field`. Other values are returned
+        unchanged.
+        """
         over_time = isinstance(value, Mapping) and any(np.ndim(row) > 1 for row in value.values())
         return names.place_rows(field, value, (None, 3) if over_time else (3,))
 

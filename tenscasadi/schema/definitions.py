@@ -43,7 +43,7 @@ from tenscasadi.util.validate import format_value
 class Field(NamedTuple):
     """Field of a class: type, default and description in files.
 
-    `default` is MISSING for required fields.
+    `default` is MISSING for required fields, and `text` is the description.
     """
 
     type: FieldType
@@ -95,7 +95,7 @@ class Definition:
         return [(name, field) for name, field in own if not isinstance(field.type, InPython)]
 
     def read(self, item: Item, **more: Any) -> Any:
-        """Read an object from a table.
+        """Read an object from a table of a file, `item`.
 
         `more` are fields from other tables. Raises SceneFileError.
         """
@@ -225,7 +225,7 @@ _LISTS = (Sequence, Iterable, list, tuple)
 
 
 def field_type(hint: Any, name: str) -> FieldType:
-    """Derive the type of a field from its annotation.
+    """Derive the type of the field `name` from its annotation `hint`.
 
     Raises TypeError if that is impossible.
     """
@@ -273,7 +273,7 @@ class OneOf(FieldType):
         }
 
     def read(self, item: Item) -> Any:
-        """Read an object of any class of the family."""
+        """Read an object of any class of the family from an entry `item`."""
         known, value = self.definitions, item.value
         alone = next(iter(known.values())) if len(known) == 1 else known.get(self.family.implied)
         short = alone is not None and alone.short
@@ -293,7 +293,7 @@ class OneOf(FieldType):
         return known[kind].read(rest)
 
     def write(self, value: Any) -> Any:
-        """Write a table, or the kind alone if that is sufficient."""
+        """Convert an object to a table, or to its kind alone if that suffices."""
         known = self.definitions
         own = known.get(getattr(type(value), "kind", ""))
         if own is None or own.build is not type(value):
@@ -326,7 +326,7 @@ class OneOf(FieldType):
         return {"$ref": f"#/$defs/{name}"}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in the fields of an object."""
+        """Replace names by indices in the fields of an object, see `FieldType.resolve`."""
         return resolve_names(value, names)
 
 
@@ -334,10 +334,10 @@ T = TypeVar("T")
 
 
 def resolve_names(value: T, names: Names) -> T:
-    """Replace names by indices in the fields of an object.
+    """Replace names by indices in the fields of an object, `value`.
 
-    They are names of nodes, bars and strings. Objects without names are returned unchanged. Raises
-    TypeError, ValueError.
+    They are `names` of nodes, bars and strings of a structure. Objects without names are returned
+    unchanged. Raises TypeError, ValueError.
     """
     kinds = [own for own in type(value).__mro__ if issubclass(own, Value) and own.kind]
     if not isinstance(value, Value) or not kinds:
@@ -349,9 +349,10 @@ def resolve_names(value: T, names: Names) -> T:
 
 
 def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> dict[str, Any]:
-    """Replace names by indices in given field values.
+    """Replace names of nodes, bars and strings by indices in field values.
 
-    Returns the fields that change.
+    `own` is the format of the object, `given` are its field values by name, and `names` those of
+    the structure. Returns the fields that change.
     """
     found = {
         name: field.type.resolve(f"{own.kind}.{name}", given[name], names)
@@ -362,7 +363,10 @@ def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> d
 
 
 def parameter_texts(build: Callable[..., Any]) -> dict[str, str]:
-    """Extract the parameter descriptions from a numpydoc docstring."""
+    """Extract the parameter descriptions from a numpydoc docstring.
+
+    The docstring is that of `build`. Returns the descriptions by parameter.
+    """
     section = re.search(
         r"^Parameters\n-+\n(.*?)(?=^\S[^\n]*\n---|\Z)",
         inspect.getdoc(build) or "",

@@ -29,7 +29,7 @@ class FieldType(ABC):
 
     @abstractmethod
     def read(self, item: Item) -> Any:
-        """Convert an entry of a file to a Python value.
+        """Convert an entry of a file, `item`, to a Python value.
 
         Raises SceneFileError.
         """
@@ -43,7 +43,10 @@ class FieldType(ABC):
 
     @abstractmethod
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema; definitions are added to `kinds`."""
+        """Build the JSON Schema of values of this type.
+
+        Definitions of classes, to which it refers, are added to `kinds`.
+        """
 
     def check(self, field: str, value: Any) -> Any:
         """Check a Python value, see `check_fields`.
@@ -84,7 +87,7 @@ class Numbers(FieldType):
     varying: bool = False
 
     def read(self, item: Item) -> Any:
-        """Read a number, nested lists, or a function of time."""
+        """Read a number, nested lists, or a function of time from an entry."""
         sizes, value = [], item.value
         while isinstance(value, list):
             sizes.append(len(value))
@@ -215,7 +218,7 @@ class Flag(FieldType):
 
 @dataclass(frozen=True)
 class Word(FieldType):
-    """Field type of text, or of one of some words."""
+    """Field type of text, or of one of the words `options`."""
 
     options: tuple[str, ...] = ()
 
@@ -314,13 +317,13 @@ class Index(FieldType):
 class Members(FieldType):
     """Field type of a list of nodes, bars or strings.
 
-    The name of a group stands for all its members.
+    `which` is "node", "bar" or "string". The name of a group stands for all its members.
     """
 
     which: ItemKind
 
     def read(self, item: Item) -> list[int]:
-        """Read a list of indices, or of names as indices."""
+        """Read a list of indices, or of names as indices, from an entry."""
         entries = item.entries(f"a list of names or indices of {self.which}s")
         return [index for entry in entries for index in entry.indices(self.which)]
 
@@ -337,7 +340,10 @@ class Members(FieldType):
         return as_tuple(field, value, "[0, 1]")
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in a list."""
+        """Replace names of items and groups in a list by indices.
+
+        `names` are those of the structure, and messages name `field`.
+        """
         return names.resolve_all(field, self.which, value)
 
 
@@ -360,7 +366,7 @@ class ListOf(FieldType):
     count: int | None = None
 
     def read(self, item: Item) -> list[Any]:
-        """Read the entries."""
+        """Read the entries of a list in a file, `item`."""
         if self.single and not isinstance(item.value, list):
             return [self.type.read(item)]
         entries = item.entries()
@@ -369,7 +375,7 @@ class ListOf(FieldType):
         return [self.type.read(entry) for entry in entries]
 
     def write(self, value: Any) -> Any:
-        """Write the entries, or a single one without a list."""
+        """Convert the entries, or a single one without a list, for a file."""
         alone = self.single and not isinstance(value, (Sequence, np.ndarray))
         written = [self.type.write(entry) for entry in ([value] if alone else value)]
         return written[0] if self.single and len(written) == 1 else written
@@ -382,7 +388,7 @@ class ListOf(FieldType):
         return {"anyOf": [one, many]} if self.single else many
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in the entries."""
+        """Replace names by indices in the entries of a list, see `FieldType.resolve`."""
         entries = list_entries(field, value)
         if entries is None:
             return self.type.resolve(field, value, names) if self.single else value
@@ -397,11 +403,11 @@ class InPython(FieldType):
     """Field type of values that files cannot hold, such as functions."""
 
     def read(self, item: Item) -> Any:
-        """Reject an entry in a file."""
+        """Reject an entry in a file by SceneFileError."""
         raise item.error("is a field of Python alone: leave it out")
 
     def write(self, value: Any) -> Any:
-        """Reject a value, as files cannot hold it."""
+        """Reject a value by NotWritten, as files cannot hold it."""
         raise NotWritten("a function in Python: leave it out")
 
     def schema(self, kinds: Schemas) -> Schema:

@@ -86,7 +86,7 @@ class Formula:
     def value(self, numbers: Mapping[str, float]) -> float:
         """Compute the value for given values of the names.
 
-        Raises FormulaError.
+        `numbers` has these values. Raises FormulaError, also for a formula of the time.
         """
         if self.varies:
             raise FormulaError(f"{self.text!r} changes with the time t: give a constant here")
@@ -98,7 +98,7 @@ class Formula:
     def at(self, time: Any, numbers: Mapping[str, Any]) -> Any:
         """Compute the value at a time, also a CasADi symbol.
 
-        Raises FormulaError.
+        `numbers` has the values of the names in the formula. Raises FormulaError.
         """
         known = {**numbers, **CONSTANTS, TIME: time}
         values: dict[ast.expr, Any] = {}
@@ -136,7 +136,8 @@ def _parse(text: str) -> ast.expr:
 def _read(node: ast.expr, text: str) -> tuple[Any, list[ast.expr]]:
     """Find the value, name or operation of a syntax-tree node.
 
-    Also returns its operands. Raises FormulaError.
+    Returns it with the operands of an operation. `text` is the formula, for messages. Raises
+    FormulaError.
     """
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):

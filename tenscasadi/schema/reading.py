@@ -81,7 +81,8 @@ class NotWritten(ValueError):
 class Names:
     """Counts and names of a structure's nodes, bars and strings.
 
-    A name is that of one item, or of a group of items.
+    `counts` has the number of items of each kind, such as "node", and `named` the indices of each
+    name by kind. A name is that of one item, or of a group of items.
     """
 
     counts: Mapping[ItemKind, int] = field(default_factory=dict)
@@ -104,7 +105,8 @@ class Names:
     def find(self, which: ItemKind, word: Any) -> list[int]:
         """Find the indices for an index, a name or a group name.
 
-        Raises ValueError.
+        `which` is the kind of item, such as "node", and `word` the index or name. Raises
+        ValueError.
         """
         named, count = self.named.get(which, {}), self.counts.get(which, 0)
         if isinstance(word, str) and word in named:
@@ -128,7 +130,8 @@ class Names:
     def index(self, field: str, which: ItemKind, word: Any) -> int:
         """Convert the name or index of one item to its index.
 
-        Raises TypeError, ValueError.
+        `which` is the kind of item, such as "node", `word` the name or index, and messages name
+        `field`. Raises TypeError, ValueError.
         """
         found = self.resolve(field, which, word)
         return node_index(field, found, self.counts.get(which, 0), which)
@@ -136,7 +139,8 @@ class Names:
     def resolve(self, field: str, which: ItemKind, word: Any) -> Any:
         """Replace the name of an item by its index.
 
-        Other values are returned unchanged. Raises ValueError.
+        `which` is the kind of item, `word` the name, and messages name `field`. Values that are no
+        names are returned unchanged. Raises ValueError.
         """
         found = self.expand(field, which, word)
         if len(found) != 1:
@@ -147,7 +151,8 @@ class Names:
     def resolve_all(self, field: str, which: ItemKind, words: Any) -> Any:
         """Replace the names of items and groups in a list by indices.
 
-        Other values are returned unchanged. Raises TypeError, ValueError.
+        `which` is the kind of item, `words` the list, and messages name `field`. Values that are no
+        names are returned unchanged. Raises TypeError, ValueError.
         """
         entries = list_entries(field, words)
         if not any(isinstance(entry, str) for entry in entries or ()):
@@ -157,7 +162,8 @@ class Names:
     def resolve_lists(self, field: str, which: ItemKind, lists: Any) -> Any:
         """Replace names in a list of lists by indices.
 
-        Other values are returned unchanged. Raises TypeError, ValueError.
+        `which` is the kind of item, and messages name `field`. Values that are no names are
+        returned unchanged. Raises TypeError, ValueError.
         """
         entries = list_entries(field, lists) or ()
         found = [self.resolve_all(f"{field}[{k}]", which, own) for k, own in enumerate(entries)]
@@ -167,15 +173,18 @@ class Names:
     def pairs(self, field: str, members: Any, item: str, parallel: bool = False) -> Indices:
         """Convert bars or strings to an array (items, 2) of node indices.
 
-        Each is a pair of nodes by name or index. Raises TypeError, ValueError as `node_pairs`.
+        Each of the `members` is a pair of nodes by name or index. `item` is "bar" or "string", and
+        messages name `field`. Several members can join the same nodes only if `parallel`. Raises
+        TypeError, ValueError.
         """
         own = self.resolve_lists(field, "node", members)
         return node_pairs(field, own, self.counts["node"], item, parallel)
 
     def mask(self, field: str, which: ItemKind, words: Any) -> Booleans:
-        """Convert names and indices to a mask of all items.
+        """Convert names and indices to Booleans, one for each item.
 
-        Raises TypeError, ValueError.
+        Those of the items in `words` are True. `which` is the kind of item, and messages name
+        `field`. Raises TypeError, ValueError.
         """
         indices = self.resolve_all(field, which, words)
         found = np.zeros(self.counts.get(which, 0), dtype=bool)
@@ -184,10 +193,10 @@ class Names:
         return found
 
     def resolve_keys(self, field: str, which: ItemKind, table: Any) -> Any:
-        """Replace names by indices among the keys of a mapping.
+        """Replace names by indices among the keys of a mapping, `table`.
 
-        Groups are replaced by all their members. Other values are returned unchanged. Raises
-        ValueError.
+        `which` is the kind of item, and messages name `field`. Groups are replaced by all their
+        members. Values that are no mappings are returned unchanged. Raises ValueError.
         """
         if not isinstance(table, Mapping) or not any(isinstance(word, str) for word in table):
             return table
@@ -202,7 +211,8 @@ class Names:
     def place_rows(self, field: str, table: Any, shape: tuple[int | None, ...] = (3,)) -> Any:
         """Convert a mapping of vectors by node to an array (..., n, 3).
 
-        Other nodes have zeros. Other values are returned unchanged. Raises TypeError, ValueError.
+        Each value in `table` has this shape, such as (K, 3). Other nodes have zeros. Values that
+        are no mappings are returned unchanged. Messages name `field`. Raises TypeError, ValueError.
         """
         if not isinstance(table, Mapping):
             return table
@@ -221,7 +231,8 @@ class Names:
     def expand(self, field: str, which: ItemKind, word: Any) -> list[Any]:
         """Return the indices for a name or a group name, as a list.
 
-        A value that is no name is the only entry. Raises ValueError.
+        `which` is the kind of item, `word` the name, and messages name `field`. A value that is no
+        name is the only entry. Raises ValueError.
         """
         if not isinstance(word, str):
             return [word]
@@ -258,7 +269,7 @@ class Document:
         return Item(self.data, (), self)
 
     def section(self, name: str) -> Item | None:
-        """Find a table of the scene file; None without one.
+        """Find a table of the scene file by its name; None without one.
 
         Raises SceneFileError.
         """
@@ -276,7 +287,11 @@ class Document:
 
 
 class Item(NamedTuple):
-    """Entry of a scene file, with its key for messages."""
+    """Entry of a scene file, with its key for messages.
+
+    `value` is its parsed content, `document` the file, and `names` are those of the structure,
+    which the entry can contain.
+    """
 
     value: Any
     key: Key
@@ -284,7 +299,7 @@ class Item(NamedTuple):
     names: Names = Names()
 
     def child(self, name: str | int) -> Item:
-        """Select an entry of a table or a list."""
+        """Select an entry of a table by its name, or of a list by its index."""
         return Item(self.value[name], (*self.key, name), self.document, self.names)
 
     def table(self, wanted: str = "a table") -> dict[str, Item]:
@@ -299,7 +314,7 @@ class Item(NamedTuple):
     def entries(self, wanted: str = "a list") -> list[Item]:
         """Read the items of a list.
 
-        Raises SceneFileError.
+        The message for another value asks for `wanted`. Raises SceneFileError.
         """
         if not isinstance(self.value, list):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
@@ -308,7 +323,7 @@ class Item(NamedTuple):
     def text(self, wanted: str = "text") -> str:
         """Read a text.
 
-        Raises SceneFileError.
+        The message for another value asks for `wanted`. Raises SceneFileError.
         """
         if not isinstance(self.value, str):
             raise self.error(f"is {format_value(self.value)}: give {wanted}")
@@ -317,7 +332,7 @@ class Item(NamedTuple):
     def number(self, wanted: str = "a number, or a formula in quotes") -> float:
         """Read a number, also from a formula.
 
-        Raises SceneFileError.
+        The message for another value asks for `wanted`. Raises SceneFileError.
         """
         if isinstance(self.value, str):
             return self._call(lambda: Formula(self.value).value(self.document.numbers))
@@ -338,7 +353,7 @@ class Item(NamedTuple):
     def whole(self, wanted: str = "a whole number") -> int:
         """Read a whole number, also from a formula.
 
-        Raises SceneFileError.
+        The message for another value asks for `wanted`. Raises SceneFileError.
         """
         found = self.number(wanted)
         if found != int(found):
@@ -346,9 +361,10 @@ class Item(NamedTuple):
         return int(found)
 
     def indices(self, which: ItemKind, word: Any = None) -> list[int]:
-        """Find the indices for a name or index.
+        """Find the indices for a name, group name or index, `word`.
 
-        By default it is the value of this entry. Raises SceneFileError.
+        By default it is the value of this entry. `which` is the kind of item, such as "node".
+        Raises SceneFileError.
         """
         return self._call(lambda: self.names.find(which, self.value if word is None else word))
 
@@ -375,8 +391,9 @@ class Item(NamedTuple):
 def list_entries(field: str, value: Any) -> tuple[Any, ...] | None:
     """Return the entries of a list that can contain names.
 
-    Returns None for other values. Raises TypeError for an iterator that fails, as it cannot be read
-    again, and ValueError for more than MAX_COUNT entries.
+    Returns None for other values, such as text and mappings. Messages name `field`. Raises
+    TypeError for an iterator that fails, as it cannot be read again, and ValueError for more than
+    MAX_COUNT entries.
     """
     numbers = isinstance(value, np.ndarray) and value.dtype.kind in "biufc"
     if numbers or isinstance(value, (str, bytes, Mapping)):
@@ -403,9 +420,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def call(
     build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]
 ) -> Any:
-    """Call `build`, and add file and line to its errors.
+    """Call `build` with keywords, and add file and line to its errors.
 
-    A TypeError or ValueError becomes a SceneFileError at the field that it names first.
+    The keywords are `given`. A TypeError or ValueError becomes a SceneFileError. Its place is the
+    first field in the message that is in `table`, else `item`.
     """
     try:
         return build(**given)

@@ -180,15 +180,15 @@ class Stored(ReadOnlyArrays):
 
     @classmethod
     def _read_values(cls, content: Fields, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Restore the fields that `_write_values` converted.
+        """Restore the fields that `_write_values` converted, by name.
 
-        `given` are the other fields. Raises ValueError.
+        `content` has all arrays of the file, and `given` the other fields. Raises ValueError.
         """
         return {}
 
     @classmethod
     def _check_loaded(cls, given: Mapping[str, Any]) -> None:
-        """Check the values of loaded fields.
+        """Check the values of loaded fields, `given` by name.
 
         Raises ValueError.
         """
@@ -202,9 +202,10 @@ def _restore_part(kind: type[Stored], name: str, content: Fields) -> Stored:
 
 
 class _FieldTypes(NamedTuple):
-    """Types of the fields of a class.
+    """Types of the fields of a class, by name.
 
-    Arrays have dimensions, as letters, and a kind. Those in `optional` can be None.
+    `hints` are the annotations. Each of the `arrays` has its dimensions, as letters, and NumPy's
+    letter of its kind. Fields in `optional` can be None.
     """
 
     hints: dict[str, Any]
@@ -241,9 +242,9 @@ def array_fields(cls: type) -> dict[str, tuple[str | None, str]]:
 
 
 def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
-    """Check the kinds and shapes of fields.
+    """Check the kinds and shapes of fields, against the annotations of a class.
 
-    Raises ValueError.
+    `content` are the fields by name. Raises ValueError.
     """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in array_fields(cls).items():
@@ -265,7 +266,10 @@ def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
 
 
 def check_indices(name: str, value: Any, count: int, least: int = 0) -> None:
-    """Raise ValueError unless indices lie in [`least`, `count`)."""
+    """Raise ValueError unless indices lie in [`least`, `count`).
+
+    `value` has the indices, and `name` is that of the field in messages.
+    """
     if np.size(value) and not least <= np.min(value) <= np.max(value) < count:
         raise ValueError(f"field {name!r} holds indices outside {least} … {count - 1}")
 

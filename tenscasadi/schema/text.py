@@ -36,9 +36,9 @@ class TextError(ValueError):
 
 
 def parse(text: str, language: str, most: float = math.inf) -> dict[str, Any]:
-    """Parse a text in "toml" or "json".
+    """Parse a text in a language, "toml" or "json", to a dictionary.
 
-    It may have `most` keys and entries of lists. Raises TextError.
+    It may have at most `most` keys and entries of lists. Raises TextError.
     """
     if sum(map(text.count, ",=:[")) > most:
         raise TextError(f"it has more than {most} keys and entries of lists: give fewer", None)
@@ -130,7 +130,7 @@ def _words(key: str) -> Key:
 
 
 def to_json(data: Mapping[str, Any]) -> str:
-    """Format a table as JSON; infinity is the text "inf"."""
+    """Format nested `data` as JSON; infinity is the text "inf"."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Mapping):
@@ -143,7 +143,7 @@ def to_json(data: Mapping[str, Any]) -> str:
 
 
 def to_toml(data: Mapping[str, Any], width: int = 100) -> str:
-    """Format a table as TOML.
+    """Format nested `data` as TOML.
 
     Lines have at most `width` characters where that is possible.
     """

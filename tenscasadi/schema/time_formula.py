@@ -46,9 +46,9 @@ class TimeFormula(Value, kind="TimeFormula"):
 
 
 def _map(entries: Any, function: Callable[[Formula], Any]) -> Any:
-    """Apply a function to each formula in nested tuples.
+    """Apply a function to each formula in nested tuples, `entries`.
 
-    The result is nested lists.
+    Texts are formulas; numbers and None are unchanged. The result is nested lists.
     """
     if isinstance(entries, tuple):
         return [_map(entry, function) for entry in entries]

@@ -81,7 +81,7 @@ class Value:
 
 
 def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
-    """Add a class or function to a family.
+    """Add a class or function, `member`, to a family under a kind.
 
     Raises TypeError if another one has its kind.
     """
@@ -98,7 +98,8 @@ def check_fields(value: Any, public: bool = True) -> None:
 
     Entries of an annotation that have a method `check`, such as `Check` and `FieldType`, are
     applied in their order. None is not checked where it is the default, or in the annotation.
-    Messages name the class only if it is `public`.
+    Messages name the class only if it is `public`. `value` is the object, whose fields are replaced
+    by converted values.
     """
     owner = f"{type(value).__name__}." if public else ""
     for name, (optional, checks) in _find_checks(type(value)).items():  # type: ignore[arg-type]  # classes hash
@@ -111,7 +112,10 @@ def check_fields(value: Any, public: bool = True) -> None:
 
 @cache
 def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], Any]]]]:
-    """Find the checks of each field, and whether it may be None."""
+    """Find the checks of each field of a class, `kind`.
+
+    Returns for each field whether it may be None, and its checks.
+    """
     hints: dict[str, Any] = {}
     for base in reversed(kind.__mro__):
         with suppress(NameError):  # a user's class may name types of type checkers alone
@@ -126,7 +130,10 @@ def _find_checks(kind: type) -> dict[str, tuple[bool, list[Callable[[str, Any], 
 
 
 def _list_entries(hint: Any) -> Iterator[Any]:
-    """Yield the types and metadata of an annotation."""
+    """Yield the types and metadata of an annotation, `hint`.
+
+    Unions and ``Annotated`` are divided into their parts.
+    """
     if get_origin(hint) is Annotated:
         kind, *entries = get_args(hint)
         yield from (*_list_entries(kind), *entries)
