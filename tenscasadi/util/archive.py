@@ -29,9 +29,10 @@ class Fields(dict[str, Any]):
         raise ValueError(f"it has no field {name!r}")  # `load` names the file
 
     def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
-        """Select an array whose data type is of one of NumPy's kinds.
+        """Select the array of a field whose data type is of one of NumPy's kinds.
 
-        `kinds` are letters such as "fi". Raises ValueError.
+        `name` is that of the field, `kinds` are letters such as "fi", and `dimensions` is the
+        number of dimensions; None: any. Raises ValueError.
         """
         value = self[name]
         if value.dtype.kind not in kinds or dimensions not in (None, value.ndim):
@@ -51,7 +52,7 @@ class Fields(dict[str, Any]):
 def save(path: FilePath, form: str, content: Mapping[str, Any]) -> Path:
     """Write arrays by name to exactly `path`, atomically.
 
-    The field "format" is `form`. Raises OSError.
+    `content` are the arrays. The field "format" is `form`. Raises OSError.
     """
     with whole_file(path) as file:
         write(file, form, content)
@@ -59,7 +60,10 @@ def save(path: FilePath, form: str, content: Mapping[str, Any]) -> Path:
 
 
 def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
-    """Write arrays by name to an open file."""
+    """Write arrays by name to an open file.
+
+    `content` are the arrays. The field "format" is `form`.
+    """
     arrays = {name: np.asarray(value) for name, value in content.items()}
     # a well compressed large file could exceed the size limit of `load`
     large = sum(value.nbytes for value in arrays.values()) > MAX_BYTES
@@ -68,7 +72,7 @@ def write(file: BinaryIO, form: str, content: Mapping[str, Any]) -> None:
 
 
 def compute_size_limit(path: Path) -> int:
-    """Compute the largest unpacked size of a file [bytes].
+    """Compute the largest unpacked size of the file `path` [bytes].
 
     It is 1 GB, or 20 times the size of the file. Trajectories compress by less than that.
     """
@@ -76,10 +80,11 @@ def compute_size_limit(path: Path) -> int:
 
 
 def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> T:
-    """Build an object from the arrays of a file.
+    """Build an object from the arrays of the file `path`.
 
-    Raises FileNotFoundError. Raises ValueError with the file, the expected `kind` and the reason if
-    the file is damaged or has another `form`, or if `build` raises ValueError.
+    `build` converts the arrays to the object. Raises FileNotFoundError. Raises ValueError with the
+    file, the expected `kind` of content and the reason if the file is damaged or has another `form`
+    in its field "format", or if `build` raises ValueError.
     """
     rejection = f"{file_path('path', path)} is not a {kind}"
     try:
@@ -100,7 +105,7 @@ def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> 
 
 
 def read_format(path: FilePath) -> str:
-    """Read the format of a file, "" for other files.
+    """Read the field "format" of the file `path`, "" for other files.
 
     Raises FileNotFoundError.
     """
@@ -113,7 +118,10 @@ def read_format(path: FilePath) -> str:
 
 
 def _read(path: Path, only: str = "") -> Fields:
-    """Read arrays of a file after a check of their sizes."""
+    """Read arrays of the file `path` after a check of their sizes.
+
+    `only` is the name of the array to read; "": all.
+    """
     if path.exists() and not path.is_file():  # opening a FIFO would wait for another process
         raise OSError("it is not a regular file")
     with zipfile.ZipFile(path) as packed:

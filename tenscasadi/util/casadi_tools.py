@@ -67,7 +67,7 @@ def sparse(matrix: Any) -> Any:
 
 
 def constant_row(values: Any) -> Any:
-    """Convert constants (k,) to a CasADi row (1×k).
+    """Convert constants `values` (k,) to a CasADi row (1×k).
 
     Equal constants become 1×1. Expressions are returned unchanged.
     """
@@ -77,9 +77,9 @@ def constant_row(values: Any) -> Any:
 
 
 def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
-    """Compute Z ŵ C (3×n) with the diagonal matrix ŵ.
+    """Compute Z ŵ C (3×n) with the diagonal matrix ŵ of weights w.
 
-    Z is 3×k, w is 1×k, and C (k×n) is constant.
+    Z is 3×k, `weights` are w (1×k), and C (k×n) is constant.
     """
     constant = sparse(C)
     if not isinstance(Z, ca.MX):
@@ -100,7 +100,7 @@ def column_norms(vectors: Any) -> Any:
 
 
 def matrix_with_pattern(sparsity: ca.Sparsity, values: Any) -> Any:
-    """Build a matrix from its sparsity and nonzeros (nnz).
+    """Build a matrix from its sparsity and its nonzeros, `values` (nnz).
 
     It has the CasADi type of the nonzeros.
     """
@@ -114,8 +114,9 @@ def hermite_cubic(
 ) -> Any:
     """Evaluate a cubic Hermite interpolant.
 
-    It has the given values and derivatives at the ends of an interval of the given length. `share`
-    is the fraction of the interval at which it is evaluated.
+    It has the values `left` and `right` at the ends of an interval of the given length, and there
+    the derivatives `left_slope` and `right_slope`. `share` is the fraction of the interval at which
+    it is evaluated.
 
     Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, (II.6.7).
     """
@@ -150,7 +151,7 @@ def number_nonzeros(matrix: Any) -> sp.csr_array:
 def entries_at(matrix: Any, rows: Any, columns: Any) -> Any:
     """Select entries of a sparse matrix as a CasADi column.
 
-    Entries that are not stored are 0.
+    Entry k is at (rows[k], columns[k]). Entries that are not stored are 0.
     """
     found = np.asarray(number_nonzeros(matrix)[rows, columns]).ravel()
     if not is_expression(matrix):
@@ -198,7 +199,7 @@ def is_diagonal(matrix: Any) -> bool:
 def block_inverse(M: sp.csr_array, free: Any) -> sp.csr_array:
     """Invert M (n×n) on the free coordinates, block by block.
 
-    Other entries are zero.
+    `free` (n,) flags these coordinates. Other entries are zero.
     """
     n = M.shape[0]
     index = np.flatnonzero(free)
@@ -271,7 +272,10 @@ class ArrayFunction:
 
 
 def generate_code(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
-    """Generate C code and header, by file name."""
+    """Generate C code and header of a CasADi generator, by file name.
+
+    `name` is that of the files, without ending.
+    """
     with TemporaryDirectory() as folder:
         generator.generate(f"{folder}/")
         code, header = (

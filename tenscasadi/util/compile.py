@@ -107,9 +107,9 @@ def find_compiler() -> tuple[str, ...] | None:
 
 
 def read_compiled(field: str, value: Any) -> Compiled:
-    """Read whether to compile: True, False, None or `Single`.
+    """Check the choice whether to compile: True, False, None or `Single`.
 
-    NumPy's booleans become Python's. Raises TypeError.
+    NumPy's booleans become Python's. Messages name `field`. Raises TypeError.
     """
     if value is None or isinstance(value, Single):
         return value
@@ -176,12 +176,12 @@ def compile_function(
 def compile_library(
     name: str, source: str, suffix: str = ".cpp", *, build: bool = True
 ) -> ctypes.CDLL:
-    """Compile and load C or C++ code.
+    """Compile and load C or C++ code, `source`.
 
-    The library is cached as by `compile_function`. The C compiler is used, so C++ code (suffix
-    ".cpp") cannot use the C++ library. Without `build`, the library is only loaded from the cache.
-    Raises CompileError if there is no compiler, it does not accept the code, or the cache does not
-    have the library.
+    The library is cached as by `compile_function`, in a file that begins with `name`. The C
+    compiler is used, so C++ code (suffix ".cpp") cannot use the C++ library. Without `build`, the
+    library is only loaded from the cache. Raises CompileError if there is no compiler, it does not
+    accept the code, or the cache does not have the library.
     """
     compiler = find_compiler()
     if compiler is None:
@@ -200,7 +200,12 @@ def _load(
     load: Callable[[Path], T],
     may_build: bool = True,
 ) -> T:
-    """Load the library of a source code from the cache, or compile it."""
+    """Load the library of a source code from the cache, or compile it.
+
+    `compiler` is the command, `flags` are its options (None: defaults), and `suffix` is the ending
+    of the source file. The library file begins with `name`, and `load` loads it. Unless
+    `may_build`, a missing library raises CompileError.
+    """
     options = tuple(flags) if flags is not None else _choose_flags(compiler, source)
     identity = (
         _identify(compiler, options),
@@ -250,7 +255,7 @@ def _default_flags(compiler: tuple[str, ...]) -> tuple[str, ...]:
 def _identify(compiler: tuple[str, ...], flags: tuple[str, ...]) -> str:
     """Identify a compiler by its path, arguments and predefined macros.
 
-    The macros contain its version and the features of the processor.
+    The macros, for these `flags`, contain its version and the features of the processor.
     """
     command = [*compiler, *flags, "-dM", "-E", "-x", "c", os.devnull]
     macros = run_compiler(command)
@@ -304,7 +309,10 @@ def _generate_c(function: ca.Function, single: bool = False) -> str:
 
 
 def _wrap_float(function: ca.Function, source: str) -> str:
-    """Wrap single-precision C code in functions with double arguments."""
+    """Wrap single-precision C code in a function with double arguments.
+
+    `source` is the code of the CasADi Function. Returns code with both.
+    """
     name, inputs, outputs = function.name(), function.n_in(), function.n_out()
     defines = [f"#define {name}{suffix} {name}_in_float{suffix}" for suffix in _TYPED]
     undefines = [f"#undef {name}{suffix}" for suffix in _TYPED]

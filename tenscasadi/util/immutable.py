@@ -14,8 +14,8 @@ Kept = TypeVar("Kept")
 def read_only(value: Any) -> Any:
     """Build a read-only view of an array.
 
-    In tuples and dictionaries, all arrays become views. Sparse arrays are returned unchanged,
-    because SciPy sorts them in place.
+    If `value` is a tuple or dictionary, all arrays in it become views. Sparse arrays and other
+    values are returned unchanged, because SciPy sorts sparse arrays in place.
     """
     if isinstance(value, np.ndarray):
         value = value.view()

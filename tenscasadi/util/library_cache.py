@@ -103,7 +103,10 @@ def _choose_folder() -> Path:
 
 
 def _explain_distrust(path: Path) -> str:
-    """Explain why a file is untrusted, "" if trusted."""
+    """Explain why the file or folder `path` is untrusted, "" if trusted.
+
+    It is trusted if only this user can write to it.
+    """
     if sys.platform == "win32":
         return "" if os.access(path, os.W_OK) else f"{path} cannot be written"
     status = path.stat()
@@ -116,7 +119,7 @@ def _explain_distrust(path: Path) -> str:
 
 @functools.cache
 def _temporary_folder(process: int) -> Path:
-    """Create the temporary folder of a process.
+    """Create the temporary folder of a process, given by its id.
 
     Forked processes have folders of their own, because each process removes its folder at its end.
     """
@@ -133,15 +136,16 @@ def _remove_own(folder: str, process: int) -> None:
 def _compute_seal(code: bytes, key: str) -> bytes:
     """Compute the checksum at the end of a library file.
 
-    Loading a library that is truncated or has other code would kill the process.
+    `code` is the content before, and `key` the hash in `load_library`. Loading a library that is
+    truncated or has other code would kill the process.
     """
     return hashlib.sha256(key.encode() + code).digest()
 
 
 def _read_library(library: Path, key: str) -> bytes:
-    """Read a library from the cache.
+    """Read the content of a library file in the cache.
 
-    Returns b"" if it is missing, untrusted or damaged.
+    `key` is the hash in `load_library`. Returns b"" if the file is missing, untrusted or damaged.
     """
     if not library.is_file() or _explain_distrust(library):
         return b""
@@ -156,7 +160,7 @@ def _read_library(library: Path, key: str) -> bytes:
 def _build_library(library: Path, key: str, build: Callable[[Path], None]) -> bytes:
     """Build a library and move it into the cache.
 
-    The move is atomic. Returns the content.
+    The arguments are those of `load_library`. The move is atomic. Returns the content of the file.
     """
     try:
         with tempfile.TemporaryDirectory(prefix=_TEMPORARY, dir=library.parent) as folder:
@@ -179,7 +183,8 @@ def _build_library(library: Path, key: str, build: Callable[[Path], None]) -> by
 def _load_copy(load: Callable[[Path], T], code: bytes, library: Path) -> T:
     """Load a library from a private temporary copy.
 
-    If the file in the cache were loaded, a later change of it would kill the process.
+    `code` is the content of the file `library`, and `load` loads a library from a path. If the file
+    in the cache were loaded, a later change of it would kill the process.
     """
     with contextlib.ExitStack() as stack:
         try:

@@ -37,7 +37,7 @@ def solve_semidefinite(A: Any, b: Any) -> Any:
 
 
 def semidefinite_inverse(S: Array) -> Array:
-    """Invert symmetric positive semidefinite matrices (K, n, n).
+    """Invert K symmetric positive semidefinite matrices S (K, n, n).
 
     Singular matrices are scaled to unit diagonal and replaced by their pseudoinverse.
     """
@@ -72,7 +72,7 @@ def fit_velocities(places: Array, velocities: Array) -> tuple[Array, Array]:
     """Fit a mean and an angular velocity (…, 3) to node velocities.
 
     The velocities are (…, n, 3). The angular velocity is the least-squares one about the mean of
-    the places (…, n, 3).
+    the places (…, n, 3). Returns the mean velocity and the angular velocity.
     """
     arms = places - places.mean(axis=-2, keepdims=True)
     drift = velocities.mean(axis=-2)
@@ -96,7 +96,8 @@ def null_space(A: Array, tolerance: float) -> Array:
 def compute_block_svd(A: Array) -> tuple[Array, Array, Array]:
     """Compute the full singular value decomposition by blocks.
 
-    Returns U, σ and Vᵀ. σ has as many entries as A has rows or columns, whichever is fewer.
+    Returns U, σ and Vᵀ. σ has as many entries as A has rows or columns, whichever is fewer. U is
+    (m, m) and Vᵀ (n, n) for A (m, n).
     """
     m, n = A.shape
     if not A.size:

@@ -163,7 +163,8 @@ def _has_count_per_thread(library: Any) -> bool:
 def _limit(libraries: list[Any], counts: list[int]) -> None:
     """Set thread counts of BLAS libraries.
 
-    Counts that other code has changed meanwhile remain.
+    Counts that other code has changed meanwhile remain. The numbers of threads are `counts`, one
+    for each of the `libraries`.
     """
     for library, count in zip(libraries, counts, strict=True):
         if count == 1 or library.num_threads == 1:

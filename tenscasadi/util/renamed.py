@@ -46,7 +46,10 @@ def find_attribute(
 
 
 def lazy_module(name: str) -> Any:
-    """Import a module whose code runs only at its first use."""
+    """Import the module `name`, whose code runs only at its first use.
+
+    Raises ModuleNotFoundError.
+    """
     if name in sys.modules:
         return sys.modules[name]
     spec = find_spec(name)
@@ -59,7 +62,10 @@ def lazy_module(name: str) -> Any:
 
 
 class RenamedAttribute:
-    """Deprecated name of an attribute or method."""
+    """Deprecated name of an attribute or method, which warns.
+
+    It returns the attribute `new` of the same object.
+    """
 
     def __init__(self, new: str) -> None:
         self.new = new
@@ -75,7 +81,10 @@ class RenamedAttribute:
 
 
 def rename_keywords(**names: str) -> Callable[[_Function], _Function]:
-    """Decorate a function to accept deprecated keywords, old="new"."""
+    """Decorate a function to accept deprecated keywords.
+
+    `names` are pairs old="new". A deprecated keyword causes a warning.
+    """
 
     def decorate(function: _Function) -> _Function:
         @wraps(function)
@@ -99,9 +108,10 @@ _Class = TypeVar("_Class", bound=type)
 
 
 def rename_fields(**names: str) -> Callable[[_Class], _Class]:
-    """Decorate a dataclass to accept deprecated field names, old="new".
+    """Decorate a dataclass to accept deprecated field names.
 
-    They cause a warning. Files may use both; see `tenscasadi.schema.value.Value.earlier_names`.
+    `names` are pairs old="new". A deprecated name causes a warning. Files may use both; see
+    `tenscasadi.schema.value.Value.earlier_names`.
     """
 
     def decorate(kind: _Class) -> _Class:

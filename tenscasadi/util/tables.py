@@ -48,7 +48,8 @@ class Quantity(NamedTuple):
     def label_items(self, names: Mapping[str, Sequence[str]]) -> list[list[Any]]:
         """List the labels of the items of each dimension.
 
-        Items have their name, or their index if they have none.
+        `names` are those of the items by dimension. Items have their name, or their index if they
+        have none.
         """
         sizes = zip(self.dims, np.shape(self.values)[1:], strict=True)
         given = {"axis": "xyz", **names}
@@ -58,7 +59,10 @@ class Quantity(NamedTuple):
         ]
 
     def columns(self, names: Mapping[str, Sequence[str]]) -> dict[str, Array]:
-        """Split the values into named columns (rows,)."""
+        """Split the values into columns (rows,) by title.
+
+        `names` are those of the items by dimension, such as "node".
+        """
         values = np.asarray(self.values)
         titles = [
             self.column.format(*items) for items in itertools.product(*self.label_items(names))

@@ -1,6 +1,8 @@
 """Checks of arguments that return a converted value or raise.
 
-All functions raise TypeError or ValueError. The message has the field, the value and the cure.
+All functions raise TypeError or ValueError. The message has the field, the value and the cure. In
+the functions, `field` is the name of the argument that has the value, `item` the kind of an entry,
+such as "bar", and `example` a valid value.
 """
 
 from __future__ import annotations
@@ -39,9 +41,9 @@ NEGLIGIBLE = 1e-9  # relative: smaller values and differences of computed result
 
 
 def finite_array(field: str, value: Any, shape: tuple[int | None, ...]) -> Array:
-    """Convert a value to a finite read-only array.
+    """Convert a value to a finite read-only array of given shape.
 
-    None in `shape` stands for any size. A CasADi column is also a vector.
+    None in `shape` stands for any size. A CasADi column is also a vector. Messages name `field`.
     """
     array = real_array(
         field,
@@ -71,7 +73,8 @@ def real_array(
 ) -> Array:
     """Convert a value to a new array of any shape.
 
-    It may contain NaN and inf. `wanted` is the cure in the message.
+    It may contain NaN and inf. Messages name `field`; they say that the value is not of this
+    `kind`, and that `wanted` should be given.
     """
     try:
         source = np.asarray(value)
@@ -90,7 +93,8 @@ def real_array(
 def rows_of_size(field: str, value: Any, size: int, item: str) -> Array:
     """Convert a value to an array of shape (..., size).
 
-    It may contain NaN and inf.
+    It may contain NaN and inf. Messages name `field` and the kind of `item` that is wanted, such as
+    "states".
     """
     wanted = f"{item} of shape (..., {size})"
     array = real_array(field, value, wanted)
@@ -110,7 +114,10 @@ def nesting(value: Any) -> int:
 
 
 def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
-    """Convert an iterable other than text to a tuple."""
+    """Convert an iterable other than text to a tuple.
+
+    Messages name `field`, and show `example`, a valid value.
+    """
     if not isinstance(value, (str, bytes)):
         with suppress(Exception):  # each kind of matrix raises its own error
             return tuple(value)
@@ -118,7 +125,10 @@ def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
 
 
 def choice(field: str, value: Any, *options: str) -> Any:
-    """Check that a value is one of the given words, and return it."""
+    """Check that a value is one of the words `options`, and return it.
+
+    Messages name `field`.
+    """
     if not isinstance(value, str) or value not in options:
         raise ValueError(
             f"{field} is {format_value(value)}: give {' or '.join(repr(option) for option in options)}"
@@ -127,20 +137,29 @@ def choice(field: str, value: Any, *options: str) -> Any:
 
 
 def flag(field: str, value: Any) -> bool:
-    """Check that a value is True or False, and return it."""
+    """Check that a value is True or False, and return it.
+
+    Messages name `field`.
+    """
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{field} is {format_value(value)}: give True or False")
     return bool(value)
 
 
 def text(field: str, value: Any) -> str:
-    """Check that a value is text, and return it."""
+    """Check that a value is text, and return it.
+
+    Messages name `field`.
+    """
     instance(field, value, str, "text")
     return str(value)
 
 
 def file_path(field: str, value: Any) -> Path:
-    """Convert a value to a path."""
+    """Convert a value to a path.
+
+    Messages name `field`.
+    """
     if not isinstance(value, (str, os.PathLike)) or not isinstance(os.fspath(value), str):
         raise TypeError(
             f"{field} is {format_value(value)}: give a file or folder as text or pathlib.Path"
@@ -151,22 +170,28 @@ def file_path(field: str, value: Any) -> Path:
 
 
 def number(field: str, value: Any) -> float:
-    """Convert a value to a finite float."""
+    """Convert a value to a finite float.
+
+    Messages name `field`.
+    """
     return float(finite_array(field, value, ()))
 
 
 def number_or_vector(field: str, value: Any) -> Array:
-    """Convert a value to a finite number or vector."""
+    """Convert a value to a finite number or vector, as an array.
+
+    Messages name `field`.
+    """
     return finite_array(field, value, (None,) if nesting(value) else ())
 
 
 def coordinates(
     field: str, place: Any, none: str, some: bool = False, read: Callable[[str, Any], Any] = number
 ) -> tuple[Any, ...]:
-    """Convert (x, y, z), where entries may be None.
+    """Convert `place` to (x, y, z), where entries may be None.
 
-    `read` converts the other entries. `none` explains None in the message. If `some`, at least one
-    entry must be given.
+    `read` converts the other entries. If `some`, at least one entry must be given. Messages name
+    `field`, and explain None by `none`.
     """
     try:
         entries = tuple(place.full().ravel() if isinstance(place, ca.DM) else place)
@@ -182,7 +207,10 @@ def coordinates(
 
 
 def per_item(field: str, value: Any, count: int) -> Array:
-    """Broadcast a value to `count` numbers."""
+    """Broadcast a number to an array (count,), or check such an array.
+
+    Messages name `field`.
+    """
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
     array = np.full(count, number(field, value))
@@ -191,7 +219,10 @@ def per_item(field: str, value: Any, count: int) -> Array:
 
 
 def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Array:
-    """Check that entries are nonnegative, or positive if `strict`."""
+    """Check that entries are nonnegative, or positive if `strict`.
+
+    Returns the array. Messages name `field` and the `item` that an entry belongs to.
+    """
     bad = np.flatnonzero(array < (SMALLEST if strict else 0.0))
     if bad.size:
         relation = "greater than" if strict else "at least"
@@ -202,7 +233,10 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
 
 
 def replace_inf(value: Any) -> Any:
-    """Replace infinite limits by 1, so that the others can be checked."""
+    """Replace inf by 1 in limits, so that the others can be checked.
+
+    `value` is a number or an array; other values are returned unchanged.
+    """
     with suppress(Exception):  # values that are not arrays are rejected later, by field
         array = np.asarray(value)
         if array.dtype.kind in "iuf" and not np.ma.is_masked(value):
@@ -213,7 +247,7 @@ def replace_inf(value: Any) -> Any:
 def positive_number(field: str, value: Any, zero: bool = False) -> float:
     """Convert a value to a positive float.
 
-    It can be 0 if `zero`.
+    It can be 0 if `zero`. Messages name `field`.
     """
     found = number(field, value)
     if found < SMALLEST and not (zero and found >= 0.0):
@@ -224,9 +258,9 @@ def positive_number(field: str, value: Any, zero: bool = False) -> float:
 
 
 def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1) -> int:
-    """Convert a value to an int in a range.
+    """Convert a value to an int from `minimum` to `maximum`.
 
-    Booleans and fractions are rejected.
+    Booleans and fractions are rejected. Messages name `field`.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {format_value(value)}: give a whole number")
@@ -238,7 +272,10 @@ def whole_number(field: str, value: Any, minimum: int, maximum: int = 2**31 - 1)
 
 
 def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
-    """Convert a value to an index of `count` items."""
+    """Convert a value to an index of `count` items.
+
+    Messages name `field` and the kind of `item`.
+    """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(f"{field} is {format_value(value)}: give a {item} index, a whole number")
     if not 0 <= value < count:
@@ -248,15 +285,18 @@ def node_index(field: str, value: Any, count: int, item: str = "node") -> int:
 
 
 def check_indices(field: str, values: Iterable[Any], count: int, item: str = "node") -> None:
-    """Check that the entries of a list are indices of `count` items."""
+    """Check that the entries of a list are indices of `count` items.
+
+    The list is `values`. Messages name `field` and the kind of `item`.
+    """
     for k, value in enumerate(values):
         node_index(f"{field}[{k}]", value, count, item)
 
 
 def index_or_name(field: str, value: Any) -> Any:
-    """Check that a value is an index, at least 0, or a name.
+    """Check that a value is an index, at least 0, or a name, and return it.
 
-    A structure replaces the name by its index later.
+    A structure replaces the name by its index later. Messages name `field`.
     """
     return str(value) if isinstance(value, str) else whole_number(field, value, 0)
 
@@ -266,7 +306,8 @@ def node_pairs(
 ) -> Indices:
     """Convert bars or strings to an array (items, 2) of node indices.
 
-    The ends differ. Two members join the same nodes only if `parallel`.
+    `value` are pairs of indices of `count` nodes. The ends differ. Two members join the same nodes
+    only if `parallel`. Messages name `field` and the kind of `item`, "bar" or "string".
     """
     if _are_node_pairs(value, count, parallel):
         pairs = np.array(value, dtype=np.intp)
@@ -304,7 +345,7 @@ def node_pairs(
 def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
     """Return whether an array of integers contains valid node pairs.
 
-    Otherwise a slower loop over the items finds the error.
+    For the arguments see `node_pairs`. Otherwise a slower loop over the items finds the error.
     """
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "iu":
         return False
@@ -316,9 +357,9 @@ def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> Any:
-    """Check the type of a value, and return the value.
+    """Check that a value is of one of the types `kinds`, and return it.
 
-    The message shows the example.
+    Messages name `field`, and show the example.
     """
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {format_value(value)}: give {example}")
@@ -326,9 +367,9 @@ def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: st
 
 
 def call_user_function(field: str, function: Callable[[Any], Any], argument: Any, hint: str) -> Any:
-    """Call a user's function, and convert its exceptions.
+    """Call a user's function of one argument, and convert its exceptions.
 
-    Any exception becomes a ValueError that ends with the hint.
+    Any exception becomes a ValueError that names `field` and ends with the hint.
     """
     try:
         return function(argument)
@@ -377,14 +418,17 @@ NonNegative = Annotated[float, Check(partial(positive_number, zero=True))]
 
 
 def whole(minimum: int, maximum: int = 2**31 - 1) -> Check:
-    """Build the check that a field is a whole number in a range."""
+    """Build the check that a field is a whole number in a range.
+
+    The range is from `minimum` to `maximum`.
+    """
     return Check(partial(whole_number, minimum=minimum, maximum=maximum))
 
 
 def of_type(kinds: Any, example: str) -> Check:
-    """Build the check that a field has a given type.
+    """Build the check that a field is of one of the types `kinds`.
 
-    See `instance`.
+    For `example` see `instance`.
     """
     return Check(partial(instance, kinds=kinds, example=example))
 

@@ -18,7 +18,7 @@ _UNFINISHED = ".tenscasadi-"  # prefix of temporary files
 
 @contextmanager
 def whole_file(path: FilePath) -> Iterator[BinaryIO]:
-    """Open a file that is written atomically, see `whole_path`."""
+    """Open the file `path`, which is written atomically, see `whole_path`."""
     with whole_path(path) as part, open(part, "xb") as file:
         yield file
 
@@ -59,7 +59,7 @@ def whole_path(path: FilePath) -> Iterator[Path]:
 
 
 def write_whole(path: FilePath, content: str) -> None:
-    """Write text to exactly `path` atomically."""
+    """Write the text `content` to exactly `path` atomically."""
     with whole_file(path) as file:
         file.write(content.encode())
 
