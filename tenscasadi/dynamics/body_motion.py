@@ -31,7 +31,7 @@ class BodyFrame(NamedTuple):
     directions: Array
 
     def rotation(self, nodes: Any) -> Any:
-        """Compute the rotation matrix (3×3) of the body since the start.
+        """Compute the rotation matrix (3×3) since the initial configuration.
 
         `nodes` (3×n) are the positions of all nodes of the structure [m].
         """

@@ -53,8 +53,8 @@ class RedundantConstraints(UserWarning):
 def residuals(mech: Mechanism, N: Any, B: Any, D: Any) -> tuple[Any, Any]:
     """Compute the constraint residuals of bars and joints.
 
-    They are ½(bᵀb − l²) (1×β) [m²] for bar vectors b (columns of B) of length l, and N P − D (3×c)
-    [m] for nodes N (3×n) and prescribed joint positions D (3×c).
+    B are the bar vectors b (3×β) at nodes N (3×n), and D (3×c) the prescribed joint positions. The
+    residuals are ½(bᵀb − l²) (1×β) [m²] for bar lengths l, and N P − D (3×c) [m].
     """
     return (ca.sum1(B * B) - ca.DM(mech.lengths**2).T) / 2, ca.mtimes(N, sparse(mech.P)) - D
 
@@ -176,10 +176,10 @@ def stretch_bars(mech: Mechanism, N: Any, B: Any, nu: Any) -> Any:
 
 
 def bar_scale(mech: Mechanism, B: Any) -> Any:
-    """Compute h = bᵀb G_ii (1×β), the divisors of the multipliers λ.
+    """Compute the divisors h (1×β) of the multipliers λ.
 
-    It applies to bars that are not coupled. b are the columns of B (3×β), and G = C_b M⁻ C_bᵀ. With
-    the paper's constant length l, h is l² G_ii.
+    They are h = bᵀb G_ii, for bars that are not coupled. b are the columns of B (3×β), and G = C_b
+    M⁻ C_bᵀ. With the paper's constant length l, h is l² G_ii.
     """
     squared = ca.DM(mech.lengths**2).T if mech.constant_length else ca.sum1(B * B)
     return squared * diagonal_row(mech.G[0])

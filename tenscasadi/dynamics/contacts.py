@@ -89,7 +89,10 @@ class ContactElement(ForceElement):
         return self.assemble(touch, at.N, compute_forces(self.surface, touch.contact, V, self.mode))
 
     def energy(self, N: Any) -> Any:
-        """Compute the energy of the contact springs at nodes N (3×n) [J]."""
+        """Compute the energy of the contact springs [J].
+
+        N (3×n) are the node positions [m].
+        """
         contact = self.locate_contact(N).contact
         squared = ca.fmax(contact.depth, 0) ** 2
         if contact.weight is not None:

@@ -86,10 +86,10 @@ class ForceElement:
 
 
 def spread(mech: Mechanism, W: Any, columns: list[int]) -> Any:
-    """Add forces W (3×m) on some nodes to a matrix (3×n) of all nodes.
+    """Assign forces on some nodes to all nodes.
 
-    `columns` are the m nodes as columns of N, which may repeat, and `mech` has the number n of
-    columns.
+    W (3×m) are forces on m nodes; the result is (3×n). Forces on the same node are added. `columns`
+    are the m nodes as columns of N, which may repeat, and `mech` has the number n of columns.
     """
     count, n = len(columns), mech.N.shape[1]
     if columns == list(range(n)):

@@ -113,9 +113,10 @@ def total(
 
 
 def potential_energy(scene: Scene, mech: Mechanism, N: Any, w: Any) -> tuple[Any, Any]:
-    """Compute elastic and gravity energy [J] at node positions N (3×n).
+    """Compute elastic and gravity energy [J].
 
-    The elastic energy is that of strings, bars and contacts. For `mech` and w see `build_elements`.
+    The elastic energy is that of strings, bars and contacts. N (3×n) are node positions; for `mech`
+    and w see `build_elements`.
     """
     elastic = gravity = ca.DM(0)
     for element in build_elements(scene, mech, w):
@@ -351,10 +352,10 @@ class StringForces(ForceElement):
         return self._by_law(gap, squared, rate, switching=True)
 
     def _rate(self, S: Any, V: Any) -> Any:
-        """Compute the damping terms c sᵀṡ (1×m) [N·m] of strings (Eq. 98).
+        """Compute c sᵀṡ (1×m) [N·m], the damping of strings (Eq. 98).
 
-        c is the damping and s the vector (column of S) of a string, or the length of a cable. V are
-        node velocities (3×n). Returns None without damping.
+        c is the damping. The vector of a string is s, a column of S; for a cable, s is its length.
+        V are node velocities (3×n). Returns None without damping.
         """
         if not self.damped or not is_damped(self.scene):
             return None
@@ -381,7 +382,7 @@ class StringForces(ForceElement):
     def _by_law(
         self, evaluate: Callable[..., Any], squared: Any, rate: Any, switching: bool = False
     ) -> Any:
-        """Call `evaluate` for each string law, and join the results as a row.
+        """Call `evaluate` for each string law, and join the results.
 
         Its arguments are the law and its strings; their squared lengths, rest lengths, stiffness,
         typical lengths; and `rate` (c sᵀṡ) or None. If `switching`, only laws with slack are

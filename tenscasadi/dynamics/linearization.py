@@ -1,8 +1,8 @@
 """First derivatives of the equations of motion.
 
-The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0. q are the free node coordinates, M is their mass
-matrix, F are the forces along them, J is the Jacobian of the constraints' rates, and μ are their
-multipliers. c is the drift of the constraints in the equation, and their number in shapes.
+The equations are M q̈ = F + Jᵀ μ, J q̈ + c = 0. q are the free node coordinates. M is their mass
+matrix, and F are the forces along them. J is the Jacobian of the constraints, μ are their
+multipliers, and c is their drift. In shapes, c is the number of constraints.
 """
 
 from __future__ import annotations
@@ -62,9 +62,10 @@ class LinearDynamics:
     internal: Array
 
     def tangent(self, k: int, changes: Array) -> Array:
-        """Compute changes (nx, m) of ẋ due to changes of state and input.
+        """Compute changes (nx, m) of the state derivative ẋ.
 
-        The m `changes` (nx + nw, m) are those of the state x and the input w = (u, p), at state k.
+        They are due to m `changes` (nx + nw, m) of the state x and the input w = (u, p), to first
+        order. k is the number of the state.
         """
         nq, result = self.model.nq, np.zeros((self.model.nx, changes.shape[1]))
         self.pattern.data = self.slopes[k]
@@ -77,10 +78,10 @@ class LinearDynamics:
         return result
 
     def adjoint(self, k: int, weights: Array) -> Array:
-        """Compute gradients (nx + nw, m) of weightsᵀ ẋ at state k.
+        """Compute gradients (nx + nw, m) of weightsᵀ ẋ.
 
-        They are with respect to the state x and the input w = (u, p). The m columns of `weights`
-        (nx, m) are weights of ẋ.
+        They are with respect to the state x and the input w = (u, p), at state number k. The m
+        columns of `weights` (nx, m) are weights of ẋ.
         """
         nq, forces = self.model.nq, weights[self.model.nq : 2 * self.model.nq]
         back = self.inverse[k] @ (self.weighted[k] @ forces)
@@ -93,9 +94,9 @@ class LinearDynamics:
         return np.asarray(result)
 
     def jacobian(self, k: int) -> Array:
-        """Compute the Jacobian (nx, nx + nw) of ẋ at state k.
+        """Compute the Jacobian (nx, nx + nw) of ẋ.
 
-        The derivatives are with respect to the state x and the input w = (u, p).
+        The derivatives are with respect to the state x and the input w = (u, p), at state number k.
         """
         return self.adjoint(k, np.eye(self.model.nx)).T
 
@@ -192,10 +193,10 @@ class EquationDerivatives:
         )
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
-        """Compute M, J, F and c of the equations at a state (nx,).
+        """Compute M, J, F and c of the equations of motion.
 
-        The shapes are (nq, nq), (c, nq), (nq,) and (c,); M and J are sparse. `inputs` (nw,) are the
-        control followed by the parameters.
+        The shapes are (nq, nq), (c, nq), (nq,) and (c,); M and J are sparse. `state` (nx,) is the
+        state, and `inputs` (nw,) are the control followed by the parameters.
         """
         values = self._values(state, inputs)
         force, bias, _, entries = (value.full().ravel() for value in values)
@@ -214,7 +215,10 @@ class EquationDerivatives:
         return sp.csc_array(pattern.T)
 
     def mass(self, p: Array) -> Any:
-        """Compute the sparse mass matrix (nq, nq) [kg] for parameters p (np,)."""
+        """Compute the sparse mass matrix (nq, nq) [kg].
+
+        p (np,) are the parameters.
+        """
         w = ca.DM(np.append(np.zeros(self.model.nu), p))
         M = self.model.with_masses(w, inverse=False).free_mass
         return sp.csc_array(M.sparse() if is_expression(M) else M)
@@ -257,7 +261,7 @@ def displacements(model: Model, state: Array) -> Array:
 
 
 def _free_directions(J: Array) -> Array:
-    """Compute an orthonormal basis of the null space of a Jacobian J.
+    """Compute an orthonormal basis of the null space of J.
 
     J has one row for each constraint; rows may be redundant. The basis vectors are columns.
     """
@@ -290,10 +294,10 @@ def _symbol_kind(model: Model) -> Any:
 
 
 def _compute_length_error(model: Model, N: Any, w: Any) -> Any:
-    """Compute (bᵀb − l²)/l² · diag(G) (c×1), zero unless lengths are constant.
+    """Compute the error (c×1) of bar constraints at constant lengths.
 
-    It is the error of the bar constraints if λ̂ is computed with constant lengths l instead of
-    those of the bar vectors b. G is C_b M⁻ C_bᵀ. N (3×n) are node positions, and w is the stacked
+    It is (bᵀb − l²)/l² · diag(G), if λ̂ is computed with constant lengths l instead of those of the
+    bar vectors b; otherwise 0. G is C_b M⁻ C_bᵀ. N (3×n) are node positions, and w is the stacked
     input with the masses. Entries of joints are 0.
     """
     mech, count = model.mechanism, model.mechanism.bars

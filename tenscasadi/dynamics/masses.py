@@ -236,9 +236,9 @@ class _BodyEntries(NamedTuple):
 def _body_masses(scene: Any, bodies: BodyAssembly) -> _BodyEntries:
     """Compute the nonzeros of the mass matrix of rigid bodies.
 
-    They are linear in the masses and moments of inertia, m w wᵀ + W (½ tr(I) E − I) Wᵀ. w and W are
-    the weights of the nodes for the center of mass and the axes, I is the inertia, and E the
-    identity. `bodies` has these maps.
+    They are linear in the mass m and the inertia I of each body: m w wᵀ + W (½ tr(I) E − I) Wᵀ. In
+    `bodies`, w are the weights of the nodes for the center of mass, and W those for the axes. E is
+    the identity.
     """
     own = scene.layout.quantities.keys() & set(BODIES)
     if not own:

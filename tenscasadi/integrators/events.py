@@ -213,7 +213,7 @@ def build_root(gaps: ca.Function, model: Model) -> ca.Function:
 
 
 def search_root(value: ca.Function, path: list[ca.MX]) -> ca.Function:
-    """Build Ridders' search for a root of a function of time in a bracket.
+    """Build Ridders' search for a root in a bracket.
 
     `value` is a Function (t, *path) that falls from positive to negative, and `path` are the
     symbols of its other inputs. The result is a Function (*path, low, high) → time [s] just after

@@ -306,9 +306,10 @@ def _slopes(
 
 
 def select_stages(tableau: Tableau) -> set[int]:
-    """Find the indices of the stages that affect the result of a step.
+    """Find the stages that affect the result of a step.
 
-    The last stage in the `tableau` of a "first same as last" pair is for its error estimate alone.
+    They are given by their indices. The last stage in the `tableau` of a "first same as last" pair
+    is for its error estimate alone.
     """
     needed: set[int] = set()
     for i in reversed(range(len(tableau.a))):
@@ -320,9 +321,9 @@ def select_stages(tableau: Tableau) -> set[int]:
 def _advance(x: ca.MX, h: ca.MX, weights: tuple[float, ...], slopes: list[ca.MX]) -> ca.MX:
     """Compute x + h Σ weight · ẋ over the stages.
 
-    x is the state at the start of the step of length h, and `slopes` are the time derivatives ẋ of
-    the stages, one for each of the `weights`. Stages of equal weight are added first, since each
-    product is a pass over the state. Many weights become one matrix product.
+    The step of length h starts at the state x. `slopes` are the time derivatives ẋ of the stages,
+    one for each of the `weights`. Stages of equal weight are added first, since each product is a
+    pass over the state. Many weights become one matrix product.
     """
     used = {
         weight: reduce(add, (slopes[k] for k in equal))

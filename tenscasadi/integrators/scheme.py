@@ -135,9 +135,10 @@ _MEMBERS = ("order", "adaptive", "implicit", "advance", "step", "amplification")
 
 
 def check_relative_tolerance(field: str, value: Any) -> float:
-    """Check that a relative tolerance is in [1e-15, 1), and return it.
+    """Check that a relative tolerance is in [1e-15, 1).
 
-    Messages name the `field` that has the value. Raises TypeError, ValueError.
+    Returns it as a float. Messages name the `field` that has the value. Raises TypeError,
+    ValueError.
     """
     rtol = positive_number(field, value)
     if rtol < 1e-15 or rtol >= 1:

@@ -188,7 +188,7 @@ def _numbers(matrix: Any) -> Array:
 
 
 def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
-    """Collect the contact laws, the smallest mass [kg] and the weight [N].
+    """Collect contact laws, smallest mass [kg] and weight [N].
 
     The mass is that of `lightest_mass`, and the weight that of the whole structure. Both are 0
     without contacts.
@@ -205,9 +205,9 @@ def _contact(model: Model, parameters: Any) -> tuple[Any, float, float]:
 
 
 def _jacobian(model: Model, x: Any, w: Any) -> Array:
-    """Compute the Jacobian ∂ode/∂x (nx, nx) [1/s] at a state x (nx,).
+    """Compute the Jacobian ∂ode/∂x (nx, nx) [1/s].
 
-    The inputs w (nw,) are the control and the parameters.
+    x (nx,) is the state. The inputs w (nw,) are the control and the parameters.
     """
     control, p = np.split(np.asarray(w), [model.nu])
     at = EquationDerivatives.of(model).at(np.asarray(x)[None], control[None], p)
@@ -215,10 +215,10 @@ def _jacobian(model: Model, x: Any, w: Any) -> Array:
 
 
 def _directional(model: Model) -> ca.Function:
-    """Build the Function (x, w, v) → ∂ode/∂x v for a direction v (nx).
+    """Build the Function (x, w, v) → ∂ode/∂x v.
 
-    x is the state, and w the control with the parameters. For large models it is cheaper than the
-    Jacobian.
+    x is the state, w the control with the parameters, and v (nx) a direction. For large models the
+    Function is cheaper than the Jacobian.
     """
 
     def build() -> ca.Function:
@@ -230,7 +230,7 @@ def _directional(model: Model) -> ca.Function:
 
 
 def step_limit(scheme: Scheme, rates: Complex) -> float:
-    """Compute the largest stable step of a scheme for given eigenvalues [s].
+    """Compute the largest stable step for given eigenvalues [s].
 
     `rates` are the eigenvalues of the linearized model [1/s]. The step is infinite if nothing
     limits it, and NaN if an eigenvalue is not finite.

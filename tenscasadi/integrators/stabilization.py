@@ -241,7 +241,7 @@ def _projection_parts(model: Model, kind: Any) -> tuple[ca.Function, ca.Function
 def _correcting(name: str, x: Any, p: Any, result: Any, what: str) -> ca.Function:
     """Build the Function x → result, or (x, p) → result with parameters.
 
-    `name` is the name of the Function, and `what` that of its result. The symbols are the state x
+    The names of the Function and of its result are `name` and `what`. The symbols are the state x
     and the parameters p, and `result` is the corrected state.
     """
     inputs = {"x": x} | ({"p": p} if p.numel() else {})
@@ -331,7 +331,7 @@ def _direction(B: Any, Bd: Any, lengths: Any, weight: float) -> Any:
 
 
 def _close_joints(mech: Mechanism, Z: Any, change: Any, target: Any) -> Any:
-    """Change bar vectors, and close the joints by moving bars and string nodes.
+    """Change bar vectors and close the joints.
 
     Z (3×n) are node positions or velocities, and `mech` has the bars and joints. The bar vectors
     change by `change` (3×β), and the joints satisfy Z P = `target` (3×c). The centers of mass and

@@ -82,11 +82,11 @@ class Sundials(NamedScheme):
         start: ca.Function | None,
         shares: Sequence[float] = (1.0,),
     ) -> ca.Function:
-        """Build one step of any length h, a Function (x, u, h) → states.
+        """Build one step of the equations of any length h.
 
-        `equations` are those of the method `equations`, `atol` is the absolute tolerance [m and
-        m/s], and `start` the Function of `algebraic_start`. The integration variable is t/h. The
-        states are those at the fractions `shares` of the step.
+        It is a Function (x, u, h) → states. `equations` are those of the method `equations`, `atol`
+        is the absolute tolerance [m and m/s], and `start` the Function of `algebraic_start`. The
+        integration variable is t/h. The states are those at the fractions `shares` of the step.
         """
         h, u = ca.MX.sym("h"), equations["u"]
         scaled = {key: value for key, value in equations.items() if key != "u"} | {
@@ -107,7 +107,7 @@ class Sundials(NamedScheme):
         )
 
     def amplification(self, z: Complex) -> Complex:
-        """Return zeros of the shape of z, as if every step were stable.
+        """Return zeros, as if every step were stable.
 
         The integrator controls its stability by its own steps. z is step · λ, see
         `Scheme.amplification`.

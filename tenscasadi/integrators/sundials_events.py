@@ -99,7 +99,7 @@ class EventSteps:
     def __call__(self, z: Array, u: Array, lengths: Array) -> Array:
         """Integrate time steps of equal length with constant input u.
 
-        z (nz,) is the initial state, u (nw,) the control with the parameters, and `lengths`
+        z (nz,) is the initial state, and u (nw,) the control with the parameters. `lengths`
         (steps,) are the equal lengths [s]. Returns z after each step (steps, nz).
         """
         rows: list[Array] = []

@@ -52,7 +52,7 @@ class BarPoints:
         return [*self.starts, *self.ends]
 
     def place(self, N: Any) -> Any:
-        """Compute the positions (3×m) [m] of the points on the axes of bars.
+        """Compute the points (3×m) on the axes of bars [m].
 
         N (3×n) are the positions of all nodes. Offsets are not included.
         """
@@ -92,7 +92,10 @@ class BarPoints:
 
 @dataclass(frozen=True, eq=False)
 class NodePoints:
-    """Nodes at which contact forces act, by their `columns` in N (3×n)."""
+    """Nodes at which contact forces act.
+
+    They are given by their `columns` in N (3×n).
+    """
 
     columns: list[int]
 

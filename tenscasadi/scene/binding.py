@@ -104,10 +104,10 @@ def sets_rest_lengths(scene: Any) -> bool:
 
 
 def initial_control(scene: Any, p: Array) -> Array:
-    """Compute the control (nu,) in the initial state for parameters p (np,).
+    """Compute the control (nu,) in the initial state.
 
-    It consists of the rest lengths [m] of the structure, or of the corresponding force densities
-    [N/m] or tensions [N], or it keeps winches at rest.
+    The control consists of the rest lengths [m] of the structure, or of the corresponding force
+    densities [N/m] or tensions [N], or it keeps winches at rest. p (np,) are the parameters.
     """
     s, layout = scene.structure, scene.layout
     if scene.control is None:
@@ -126,9 +126,10 @@ def initial_control(scene: Any, p: Array) -> Array:
 
 
 def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
-    """List the internal states of a scene with parameters p (np,).
+    """List the internal states of a scene.
 
-    They are states besides positions and velocities, such as rest lengths of winches.
+    They are states besides positions and velocities, such as rest lengths of winches. p (np,) are
+    the parameters, which affect their initial values.
     """
     if scene.control is None:
         return declare_strength(scene)
@@ -139,7 +140,10 @@ def declare_internal_states(scene: Any, p: Array) -> tuple[InternalStates, ...]:
 
 
 def fix(scene: Any, p: Array) -> Any:
-    """Replace parameters of a scene by constants with the values p (np,)."""
+    """Replace the parameters of a scene by constants.
+
+    p (np,) are the values.
+    """
     if scene.parameters is None:
         return scene
     items = {name: affine.numbers(p) for name, affine in scene.layout.quantities.items()}

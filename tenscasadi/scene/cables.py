@@ -61,7 +61,7 @@ class CableRows:
         )
 
     def _constants(self, values: Any, series: bool = False) -> Any:
-        """Compute a constant of each control input from those of its strings.
+        """Compute a constant of each control input.
 
         `values` (α,) or (1×α) belong to strings. They are added; if in `series`, as stiffness and
         damping, their inverses are added and the sum is inverted. The result is (m,) or (1×m).

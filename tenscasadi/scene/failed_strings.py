@@ -46,9 +46,9 @@ def describe_overload(scene: Any, tension: Array) -> str:
 
 
 def find_failed(scene: Any, internal: Array) -> Any:
-    """Find which of the m strings and cables that can fail have failed.
+    """Find the strings and cables that have failed.
 
-    `internal` (..., na) are internal states. Returns Booleans (..., m).
+    There are m that can fail. `internal` (..., na) are internal states. Returns Booleans (..., m).
     """
     count, initial = len(find_limited(scene)), join_initial(declare_strength(scene))
     own = internal[..., internal.shape[-1] - len(initial) :]

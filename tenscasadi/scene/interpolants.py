@@ -124,7 +124,10 @@ class PythonFunction(ca.Callback):
         return ca.Sparsity.dense(self._size)
 
     def eval(self, arguments: Any) -> list[ca.DM]:
-        """Evaluate the function at a time, the only one of the `arguments` [s]."""
+        """Evaluate the function at a time.
+
+        The time is the only one of the `arguments` [s].
+        """
         return [ca.DM(self._sample(float(arguments[0])))]
 
 
@@ -276,10 +279,10 @@ def interpolate_function(
 
 
 def _find_corners(pieces: list[tuple[float, float, Array]], largest: float) -> list[float]:
-    """Find the ends of polynomial pieces at which the velocity jumps [s].
+    """Find the times at which the velocity jumps [s].
 
-    A piece is its first time, its last time, and its coefficients in Bernstein form. `largest` is
-    the largest value, for the rounding error.
+    They are ends of polynomial pieces. A piece is its first time, its last time, and its
+    coefficients in Bernstein form. `largest` is the largest value, for the rounding error.
     """
     lengths = np.array([high - low for low, high, _ in pieces])[:, None]
     begin, end = (

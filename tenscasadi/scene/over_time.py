@@ -103,7 +103,7 @@ class OverTime(Value):
         vars(self).update(checked)
 
     def _read_values(self, value: Any, shape: tuple[int | None, ...]) -> Any:
-        """Convert a constant or a table of the quantity to an array.
+        """Convert a constant or a table to an array.
 
         `value` must be finite and have this shape. Raises TypeError, ValueError.
         """
@@ -247,8 +247,9 @@ class OverTime(Value):
 
 
 def read_sample(field: str, value: Any, shape: tuple[int, ...]) -> Array:
-    """Convert the result of a function to a finite array of given shape.
+    """Convert the result of a function to a finite array.
 
-    `value` is the result, and `field` its name in messages. Raises TypeError or ValueError.
+    `value` is the result, which must have the given shape. Messages name `field`. Raises TypeError
+    or ValueError.
     """
     return finite_array(field, as_numbers(value), shape)

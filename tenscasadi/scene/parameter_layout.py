@@ -322,10 +322,11 @@ def _build_block(scene: Any, parameters: Parameters, name: str) -> _ParameterBlo
 def _find_members(
     parameters: Parameters, name: str, labels: list[Any]
 ) -> tuple[list[Indices], list[str]]:
-    """Find the items, such as strings, that share each entry of p.
+    """Find the items that share each entry of p.
 
-    The quantity is called `name`, and its items have `labels`. Returns the item indices of each
-    entry, and its index in names, such as "[3]", or "" for a single entry.
+    Items are, for example, strings. The quantity is called `name`, and its items have `labels`.
+    Returns the item indices of each entry, and its index in names, such as "[3]", or "" for a
+    single entry.
     """
     groups, count = dict(parameters.groups).get(name), len(labels)
     if groups == ((),) or labels == [""] or (groups is None and name in parameters.scale):

@@ -54,9 +54,9 @@ _ROWS, _COLUMNS = (
 
 
 def read_values(structure: Any, name: str) -> Array:
-    """Read the values of a quantity of a structure, one for each item.
+    """Read the values of a quantity of a structure.
 
-    `name` is that of the quantity in `QUANTITIES`.
+    There is one for each item. `name` is that of the quantity in `QUANTITIES`.
     """
     if name == "body_mass":
         return np.array([body.mass for body in structure.bodies])

@@ -156,7 +156,7 @@ def trace(function: Any) -> ca.Function:
 
 
 def interpolate(time: Any, times: Array, table: Array, rows: int) -> Any:
-    """Interpolate linearly between the rows of a table (K, m) at a time.
+    """Interpolate linearly in a table (K, m) at a time.
 
     The rows belong to `times` (K,). The result is constant outside the times. The m entries fill a
     matrix with `rows` rows column by column. Zeros in the table need no instructions. Each value is

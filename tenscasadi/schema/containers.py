@@ -88,9 +88,10 @@ class TableOf(FieldType):
         return {"type": "object", "properties": entries, "additionalProperties": False}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names of nodes, bars and strings by indices in the values.
+        """Replace names of items by indices in the values.
 
-        `value` is a mapping, `names` are those of the structure, and messages name `field`.
+        `value` is a mapping, `names` are those of nodes, bars and strings, and messages name
+        `field`.
         """
         return _resolve_values(field, value, self._type, names)
 
@@ -101,10 +102,10 @@ class TableOf(FieldType):
 def _resolve_values(
     field: str, value: Any, choose: Callable[[Any], FieldType], names: Names
 ) -> Any:
-    """Replace names of nodes, bars and strings by indices in a mapping's values.
+    """Replace names of items by indices in a mapping's values.
 
-    `choose` finds the type of the value of a key. `names` are those of the structure, and messages
-    name `field`. Other values are returned unchanged.
+    `value` is the mapping, and `choose` finds the type of the value of a key. `names` are those of
+    nodes, bars and strings, and messages name `field`. Other values are returned unchanged.
     """
     if not isinstance(value, Mapping):
         return value
@@ -137,7 +138,7 @@ class Either(FieldType):
     unless: str = ""
 
     def read(self, item: Item) -> Any:
-        """Read an entry of a file, `item`, by the type that fits."""
+        """Read an entry of a file by the type that fits."""
         return self._choose(item.value).read(item)
 
     def write(self, value: Any) -> Any:
@@ -149,7 +150,7 @@ class Either(FieldType):
         return {"anyOf": [self.first.schema(kinds), self.other.schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in a value, by the type that fits.
+        """Replace names by indices in a value of either type.
 
         See `FieldType.resolve`.
         """
@@ -174,9 +175,10 @@ class NodeForceTable(FieldType):
     """Field type of forces on all or some nodes, also over time."""
 
     def read(self, item: Item) -> Any:
-        """Read forces (n, 3), (K, n, 3) or a function of time from a file.
+        """Read forces on nodes, constant or over time.
 
-        `item` is an array, or a table by node, of n nodes and K times.
+        They are (n, 3), (K, n, 3) or a function of time. `item` is an array, or a table by node, of
+        n nodes and K times.
         """
         if not isinstance(item.value, dict):
             return varying(None, 3).read(item)
@@ -195,7 +197,7 @@ class NodeForceTable(FieldType):
             raise item.error("has tables of several lengths: give each as many rows") from None
 
     def write(self, value: Any) -> Any:
-        """Convert forces `value` to a table of the nodes that have forces."""
+        """Convert forces to a table of the nodes that have some."""
         written = varying(None, 3).write(value)
         if callable(value):
             return written
@@ -204,10 +206,10 @@ class NodeForceTable(FieldType):
         return {str(node): array[node].tolist() for node in some}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Convert a mapping of forces by node to an array (n, 3) or (K, n, 3).
+        """Convert a mapping of forces by node to an array.
 
-        `names` are those of the structure, and messages name `field`. Other values are returned
-        unchanged.
+        The array is (n, 3) or (K, n, 3). `names` are those of the structure, and messages name
+        `field`. Other values are returned unchanged.
         """
         over_time = isinstance(value, Mapping) and any(np.ndim(row) > 1 for row in value.values())
         return names.place_rows(field, value, (None, 3) if over_time else (3,))

@@ -273,7 +273,10 @@ class OneOf(FieldType):
         }
 
     def read(self, item: Item) -> Any:
-        """Read an object of any class of the family from an entry `item`."""
+        """Read an object of any class of the family.
+
+        `item` is its entry in a file.
+        """
         known, value = self.definitions, item.value
         alone = next(iter(known.values())) if len(known) == 1 else known.get(self.family.implied)
         short = alone is not None and alone.short
@@ -293,7 +296,10 @@ class OneOf(FieldType):
         return known[kind].read(rest)
 
     def write(self, value: Any) -> Any:
-        """Convert an object to a table, or to its kind alone if that suffices."""
+        """Convert an object to a table for a file.
+
+        It becomes its kind alone if that is sufficient.
+        """
         known = self.definitions
         own = known.get(getattr(type(value), "kind", ""))
         if own is None or own.build is not type(value):
@@ -326,7 +332,10 @@ class OneOf(FieldType):
         return {"$ref": f"#/$defs/{name}"}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in the fields of an object, see `FieldType.resolve`."""
+        """Replace names by indices in the fields of an object.
+
+        See `FieldType.resolve`.
+        """
         return resolve_names(value, names)
 
 
@@ -349,10 +358,10 @@ def resolve_names(value: T, names: Names) -> T:
 
 
 def resolve_fields(own: Definition, given: Mapping[str, Any], names: Names) -> dict[str, Any]:
-    """Replace names of nodes, bars and strings by indices in field values.
+    """Replace names of items by indices in field values.
 
     `own` is the format of the object, `given` are its field values by name, and `names` those of
-    the structure. Returns the fields that change.
+    nodes, bars and strings. Returns the fields that change.
     """
     found = {
         name: field.type.resolve(f"{own.kind}.{name}", given[name], names)

@@ -87,7 +87,10 @@ class Numbers(FieldType):
     varying: bool = False
 
     def read(self, item: Item) -> Any:
-        """Read a number, nested lists, or a function of time from an entry."""
+        """Read a number, nested lists, or a function of time.
+
+        `item` is its entry in a file.
+        """
         sizes, value = [], item.value
         while isinstance(value, list):
             sizes.append(len(value))
@@ -323,7 +326,10 @@ class Members(FieldType):
     which: ItemKind
 
     def read(self, item: Item) -> list[int]:
-        """Read a list of indices, or of names as indices, from an entry."""
+        """Read a list of indices, or of names as indices.
+
+        `item` is its entry in a file.
+        """
         entries = item.entries(f"a list of names or indices of {self.which}s")
         return [index for entry in entries for index in entry.indices(self.which)]
 
@@ -375,7 +381,10 @@ class ListOf(FieldType):
         return [self.type.read(entry) for entry in entries]
 
     def write(self, value: Any) -> Any:
-        """Convert the entries, or a single one without a list, for a file."""
+        """Convert the entries for a file.
+
+        A single one may become an entry without a list.
+        """
         alone = self.single and not isinstance(value, (Sequence, np.ndarray))
         written = [self.type.write(entry) for entry in ([value] if alone else value)]
         return written[0] if self.single and len(written) == 1 else written
@@ -388,7 +397,10 @@ class ListOf(FieldType):
         return {"anyOf": [one, many]} if self.single else many
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices in the entries of a list, see `FieldType.resolve`."""
+        """Replace names by indices in the entries of a list.
+
+        See `FieldType.resolve`.
+        """
         entries = list_entries(field, value)
         if entries is None:
             return self.type.resolve(field, value, names) if self.single else value

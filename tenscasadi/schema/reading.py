@@ -269,9 +269,9 @@ class Document:
         return Item(self.data, (), self)
 
     def section(self, name: str) -> Item | None:
-        """Find a table of the scene file by its name; None without one.
+        """Find a table of the scene file by its name.
 
-        Raises SceneFileError.
+        Returns None without one. Raises SceneFileError.
         """
         if name not in self.data:
             return None
@@ -299,7 +299,10 @@ class Item(NamedTuple):
     names: Names = Names()
 
     def child(self, name: str | int) -> Item:
-        """Select an entry of a table by its name, or of a list by its index."""
+        """Select an entry of a table or a list.
+
+        `name` is its name in the table, or its index in the list.
+        """
         return Item(self.value[name], (*self.key, name), self.document, self.names)
 
     def table(self, wanted: str = "a table") -> dict[str, Item]:
@@ -420,7 +423,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def call(
     build: Callable[..., Any], item: Item, table: Mapping[str, Item], given: Mapping[str, Any]
 ) -> Any:
-    """Call `build` with keywords, and add file and line to its errors.
+    """Call `build`, and add file and line to its errors.
 
     The keywords are `given`. A TypeError or ValueError becomes a SceneFileError. Its place is the
     first field in the message that is in `table`, else `item`.

@@ -242,9 +242,10 @@ def array_fields(cls: type) -> dict[str, tuple[str | None, str]]:
 
 
 def _check_arrays(content: Mapping[str, Any], cls: type) -> None:
-    """Check the kinds and shapes of fields, against the annotations of a class.
+    """Check the kinds and shapes of fields.
 
-    `content` are the fields by name. Raises ValueError.
+    They must agree with the annotations of a class. `content` are the fields by name. Raises
+    ValueError.
     """
     sizes: dict[str, int] = {"2": 2, "3": 3}
     for name, (letters, kind) in array_fields(cls).items():

@@ -36,9 +36,10 @@ class TextError(ValueError):
 
 
 def parse(text: str, language: str, most: float = math.inf) -> dict[str, Any]:
-    """Parse a text in a language, "toml" or "json", to a dictionary.
+    """Parse a text in "toml" or "json" to a dictionary.
 
-    It may have at most `most` keys and entries of lists. Raises TextError.
+    `language` is one of these words. The text may have at most `most` keys and entries of lists.
+    Raises TextError.
     """
     if sum(map(text.count, ",=:[")) > most:
         raise TextError(f"it has more than {most} keys and entries of lists: give fewer", None)

@@ -81,9 +81,10 @@ class Value:
 
 
 def _add(family: type[Value], kind: str, member: Callable[..., Any]) -> None:
-    """Add a class or function, `member`, to a family under a kind.
+    """Add a class or function to a family.
 
-    Raises TypeError if another one has its kind.
+    `member` is this class or function, and `kind` its name in files. Raises TypeError if another
+    one has its kind.
     """
     other = family.members.setdefault(kind, member)
     if other.__qualname__ != member.__qualname__ or other.__module__ != member.__module__:

@@ -157,10 +157,10 @@ class RigidBody(Value, kind="RigidBody"):
 
 
 def read_bodies(given: Any, names: Names) -> tuple[RigidBody, ...]:
-    """Read the bodies of a structure, with node names replaced by indices.
+    """Read the bodies of a structure.
 
-    `given` is the argument of `Structure`, and `names` are those of its nodes. Raises TypeError or
-    ValueError.
+    Node names are replaced by indices. `given` is the argument of `Structure`, and `names` are
+    those of its nodes. Raises TypeError or ValueError.
     """
     example = "give a list of tenscasadi.RigidBody"
     if isinstance(given, RigidBody) or not isinstance(given, Iterable):
@@ -203,7 +203,7 @@ def move_bodies(bodies: Iterable[RigidBody], before: Array, after: Any) -> tuple
 
 
 def _read_inertia(given: Any) -> Array:
-    """Convert an inertia, or its diagonal, to a matrix (3, 3) [kg m²].
+    """Read an inertia matrix (3, 3) [kg m²].
 
     `given` is the matrix (3, 3) or the diagonal (3,). Raises TypeError, or ValueError if no mass
     distribution has it.

@@ -29,10 +29,11 @@ class Fields(dict[str, Any]):
         raise ValueError(f"it has no field {name!r}")  # `load` names the file
 
     def array(self, name: str, kinds: str, dimensions: int | None = None) -> Any:
-        """Select the array of a field whose data type is of one of NumPy's kinds.
+        """Select the array of a field and check its type.
 
-        `name` is that of the field, `kinds` are letters such as "fi", and `dimensions` is the
-        number of dimensions; None: any. Raises ValueError.
+        Its data type must be of one of NumPy's kinds. `name` is that of the field, `kinds` are
+        letters such as "fi", and `dimensions` is the number of dimensions; None: any. Raises
+        ValueError.
         """
         value = self[name]
         if value.dtype.kind not in kinds or dimensions not in (None, value.ndim):
@@ -82,9 +83,9 @@ def compute_size_limit(path: Path) -> int:
 def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> T:
     """Build an object from the arrays of the file `path`.
 
-    `build` converts the arrays to the object. Raises FileNotFoundError. Raises ValueError with the
-    file, the expected `kind` of content and the reason if the file is damaged or has another `form`
-    in its field "format", or if `build` raises ValueError.
+    `build` converts the arrays to the object. Raises FileNotFoundError. Raises ValueError if the
+    file is damaged, its field "format" is not `form`, or `build` raises ValueError. The message has
+    the file, the expected `kind` of content and the reason.
     """
     rejection = f"{file_path('path', path)} is not a {kind}"
     try:
@@ -105,7 +106,7 @@ def load(path: FilePath, form: str, kind: str, build: Callable[[Fields], T]) -> 
 
 
 def read_format(path: FilePath) -> str:
-    """Read the field "format" of the file `path`, "" for other files.
+    """Read the field "format" of a file, "" for others.
 
     Raises FileNotFoundError.
     """
@@ -118,7 +119,7 @@ def read_format(path: FilePath) -> str:
 
 
 def _read(path: Path, only: str = "") -> Fields:
-    """Read arrays of the file `path` after a check of their sizes.
+    """Read arrays of a file after a check of their sizes.
 
     `only` is the name of the array to read; "": all.
     """

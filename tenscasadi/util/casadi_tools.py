@@ -77,7 +77,7 @@ def constant_row(values: Any) -> Any:
 
 
 def scale_and_multiply(Z: Any, weights: Any, C: Any) -> Any:
-    """Compute Z ŵ C (3×n) with the diagonal matrix ŵ of weights w.
+    """Compute Z ŵ C (3×n) with the diagonal matrix ŵ.
 
     Z is 3×k, `weights` are w (1×k), and C (k×n) is constant.
     """
@@ -272,7 +272,7 @@ class ArrayFunction:
 
 
 def generate_code(generator: ca.CodeGenerator, name: str) -> dict[str, str]:
-    """Generate C code and header of a CasADi generator, by file name.
+    """Generate C code and header, by file name.
 
     `name` is that of the files, without ending.
     """

@@ -103,9 +103,9 @@ def _choose_folder() -> Path:
 
 
 def _explain_distrust(path: Path) -> str:
-    """Explain why the file or folder `path` is untrusted, "" if trusted.
+    """Explain why a file is untrusted, "" if trusted.
 
-    It is trusted if only this user can write to it.
+    `path` is a file or folder. It is trusted if only this user can write to it.
     """
     if sys.platform == "win32":
         return "" if os.access(path, os.W_OK) else f"{path} cannot be written"

@@ -46,9 +46,9 @@ def find_attribute(
 
 
 def lazy_module(name: str) -> Any:
-    """Import the module `name`, whose code runs only at its first use.
+    """Import a module whose code runs only at its first use.
 
-    Raises ModuleNotFoundError.
+    `name` is its full name. Raises ModuleNotFoundError.
     """
     if name in sys.modules:
         return sys.modules[name]

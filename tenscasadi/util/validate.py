@@ -125,9 +125,9 @@ def as_tuple(field: str, value: Any, example: str) -> tuple[Any, ...]:
 
 
 def choice(field: str, value: Any, *options: str) -> Any:
-    """Check that a value is one of the words `options`, and return it.
+    """Check that a value is one of the given words.
 
-    Messages name `field`.
+    They are `options`. Returns the value. Messages name `field`.
     """
     if not isinstance(value, str) or value not in options:
         raise ValueError(
@@ -178,9 +178,9 @@ def number(field: str, value: Any) -> float:
 
 
 def number_or_vector(field: str, value: Any) -> Array:
-    """Convert a value to a finite number or vector, as an array.
+    """Convert a value to a finite number or vector.
 
-    Messages name `field`.
+    The result is an array. Messages name `field`.
     """
     return finite_array(field, value, (None,) if nesting(value) else ())
 
@@ -207,9 +207,9 @@ def coordinates(
 
 
 def per_item(field: str, value: Any, count: int) -> Array:
-    """Broadcast a number to an array (count,), or check such an array.
+    """Broadcast a value to an array (count,).
 
-    Messages name `field`.
+    It is one number, or such an array. Messages name `field`.
     """
     if not isinstance(value, Real) and not (isinstance(value, np.ndarray) and value.ndim == 0):
         return finite_array(field, value, (count,))
@@ -233,7 +233,7 @@ def nonnegative(field: str, array: Array, item: str, strict: bool = False) -> Ar
 
 
 def replace_inf(value: Any) -> Any:
-    """Replace inf by 1 in limits, so that the others can be checked.
+    """Replace inf by 1 in limits, to check the others.
 
     `value` is a number or an array; other values are returned unchanged.
     """
@@ -294,9 +294,10 @@ def check_indices(field: str, values: Iterable[Any], count: int, item: str = "no
 
 
 def index_or_name(field: str, value: Any) -> Any:
-    """Check that a value is an index, at least 0, or a name, and return it.
+    """Check that a value is an index or a name.
 
-    A structure replaces the name by its index later. Messages name `field`.
+    An index is at least 0. Returns the value. A structure replaces the name by its index later.
+    Messages name `field`.
     """
     return str(value) if isinstance(value, str) else whole_number(field, value, 0)
 
@@ -357,9 +358,9 @@ def _are_node_pairs(value: Any, count: int, parallel: bool) -> bool:
 
 
 def instance(field: str, value: Any, kinds: type | tuple[type, ...], example: str) -> Any:
-    """Check that a value is of one of the types `kinds`, and return it.
+    """Check that a value is of one of given types.
 
-    Messages name `field`, and show the example.
+    They are `kinds`. Returns the value. Messages name `field`, and show the example.
     """
     if not isinstance(value, kinds):
         raise TypeError(f"{field} is {format_value(value)}: give {example}")
@@ -426,9 +427,9 @@ def whole(minimum: int, maximum: int = 2**31 - 1) -> Check:
 
 
 def of_type(kinds: Any, example: str) -> Check:
-    """Build the check that a field is of one of the types `kinds`.
+    """Build the check that a field has a given type.
 
-    For `example` see `instance`.
+    It must be one of `kinds`. For `example` see `instance`.
     """
     return Check(partial(instance, kinds=kinds, example=example))
 

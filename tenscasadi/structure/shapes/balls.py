@@ -271,7 +271,7 @@ def _generator(a: Array, b: Array, c: Array, ratio: float) -> Array:
 
 
 def _rotate(axis: Array, angle: float) -> Array:
-    """Compute the matrix (3×3) of a rotation about an axis by an angle [rad]."""
+    """Compute the rotation (3×3) about an axis by an angle [rad]."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

@@ -221,7 +221,7 @@ def _dome(
 
 
 def _dome_nodes(p: int, hoops: int, radius: float, rise: float, post: float, turned: bool) -> Array:
-    """Compute the nodes of a cable dome, as rows (n, 3) [m].
+    """Compute the nodes (n, 3) of a cable dome [m].
 
     They are the central post, tops and bottoms of each of the `hoops` with p posts, and the pinned
     ring. `radius`, `rise` and `post` are those of `geiger_dome`. If `turned`, each ring outside the

@@ -175,9 +175,9 @@ def _overlap(stages: int, p: int, radius: float, height: float, turn: float) -> 
 def _build_class_one(
     stages: int, p: int, radius: float, height: float, turn: float, overlap: float
 ) -> _Tower:
-    """Build a tower of class 1 whose stages overlap by a length [m].
+    """Build a tower of class 1 with given overlap [m].
 
-    The other arguments are those of `_stack`.
+    The overlap is that of the stages along z. The other arguments are those of `_stack`.
     """
     i, nodes, angle = np.arange(p), [], 0.0
     strings = {"polygon0": polygon(i), "polygon1": polygon((2 * stages - 1) * p + i)}
