@@ -126,7 +126,7 @@ class NodeContacts(ContactElement):
         return len(self.columns)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Compute the contact points at nodes N (3×n) [m]."""
+        """Compute the contact points for node positions N (3×n) [m]."""
         return TouchingPoints(self.surface.contact(N[:, self.columns]), NodePoints(self.columns))
 
 
@@ -147,7 +147,7 @@ class CapsuleContacts(ContactElement):
         return len(self._points.bars)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Compute the contact points at nodes N (3×n) [m]."""
+        """Compute the contact points for node positions N (3×n) [m]."""
         ends = self.mech.bar_ends[self._points.bars]
         return TouchingPoints(*press_spheres(self.surface, self._points, ends, N))
 
@@ -169,7 +169,7 @@ class BarContacts(ContactElement):
         return len(self._pairs)
 
     def locate_contact(self, N: Any) -> TouchingPoints:
-        """Compute the contact points at nodes N (3×n) [m]."""
+        """Compute the contact points for node positions N (3×n) [m]."""
         ends = self.mech.bar_ends[self._pairs]
         columns = [ends[:, bar, end].tolist() for bar in (0, 1) for end in (0, 1)]
         radii = [ca.DM(self.structure.bar_radius[self._pairs[:, bar]]).T for bar in (0, 1)]

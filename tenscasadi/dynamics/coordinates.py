@@ -80,7 +80,10 @@ def is_full_cheaper(structure: Structure) -> bool:
 
 
 def compare_coordinates(structure: Structure, coordinates: Coordinates) -> str:
-    """Recommend full coordinates if they are cheaper, else return ""."""
+    """Recommend full coordinates in a sentence, "" if not cheaper.
+
+    `coordinates` are those in use.
+    """
     if coordinates == "full" or not is_full_cheaper(structure):
         return ""
     return 'many bars are connected: Model(scene, coordinates="full") is faster'

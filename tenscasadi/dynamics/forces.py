@@ -2,7 +2,8 @@
 
 Each feature of a scene that exerts forces is a `ForceElement`. A new kind of load or member is one
 class and one line of `build_elements`. An absent feature builds no expression. In full coordinates
-loads act on the first copy of each physical node, unless another one is given.
+loads act on the first copy of each physical node, unless another one is given. In methods, `at` has
+the motion of the nodes, and N and V (3×n) are their positions and velocities.
 """
 
 from __future__ import annotations

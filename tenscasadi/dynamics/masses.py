@@ -68,7 +68,10 @@ class Masses(ReadOnlyArrays):
         return M, tuple(inverses)
 
     def mass_matrix(self, p: Any) -> Any:
-        """Build the mass matrix M for parameters p."""
+        """Build the mass matrix M for parameters p.
+
+        It is (n×n), for a CasADi column p (np).
+        """
         return matrix_with_pattern(self.pattern, self.entries.expression(p, full=True))
 
     @cached_property

@@ -280,7 +280,10 @@ class Model(Value, Observations, kind="Model"):
 
     @cached_property
     def power(self) -> ca.Function | None:
-        """Power of all forces whose work is not in `energy`."""
+        """Power of all forces whose work is not in `energy`.
+
+        Function "power" (x, u) → power [W]; None if all forces are conservative.
+        """
         if self.conservative:
             return None
         x, u = self.symbols(not self.mechanism.large)
@@ -383,7 +386,10 @@ def _rebuild(
     bar_length: BarLength,
     schedule: ControlSchedule | None,
 ) -> Model:
-    """Build a copy of a model without repeating its warnings."""
+    """Build a copy of a model without repeating its warnings.
+
+    `kind` is its class, and the others are its arguments; for `schedule` see `Model.with_schedule`.
+    """
     model = kind.__new__(kind)
     model.schedule = schedule
     with warnings.catch_warnings():

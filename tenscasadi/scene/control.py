@@ -134,5 +134,8 @@ class Control(Value):
         raise NotImplementedError
 
     def kinetic_energy(self, internal: Any) -> Any:
-        """Build the kinetic energy [J] stored in the internal states."""
+        """Build the kinetic energy [J] stored in the internal states.
+
+        `internal` (na,) are these states.
+        """
         return ca.DM(0)

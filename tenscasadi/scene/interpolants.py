@@ -50,7 +50,7 @@ class VectorFunction:
     span: tuple[float, float] = (-np.inf, np.inf)
 
     def __call__(self, time: Any) -> Any:
-        """Evaluate at a time, a number or a CasADi symbol."""
+        """Evaluate the function at a time, a number or a CasADi symbol."""
         values = self.at(time)
         if isinstance(values, ca.DM):
             return values.full().reshape(self.shape)
@@ -93,7 +93,7 @@ class Samples(Value, kind="Samples"):
         finite_array("Samples.values", self.values, (len(self.times), 3))
 
     def __call__(self, time: Any) -> Any:
-        """Interpolate at a time, a number or a CasADi symbol."""
+        """Interpolate the samples at a time, a number or a CasADi symbol."""
         if isinstance(time, (ca.SX, ca.MX, ca.DM)) and len(self.times) > 1:
             return interpolate(time, self.times, self.values, 3)
         number = 0.0 if isinstance(time, (ca.SX, ca.MX)) else float(time)

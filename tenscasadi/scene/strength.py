@@ -44,7 +44,10 @@ def limit_tensions(structure: Any, strength: Any) -> Array:
 
 
 def declare_strength(scene: Any) -> tuple[InternalStates, ...]:
-    """Declare the internal states of strings that can break or yield."""
+    """List the internal states of strings that can break or yield.
+
+    The result is empty without such strings.
+    """
     inputs = find_limited(scene)
     one = np.ones(len(inputs))
     if not len(inputs):

@@ -130,7 +130,10 @@ def format_row(values: Array) -> str:
 
 
 def is_same(number: Array, value: Array) -> bool:
-    """Return whether two values agree up to rounding."""
+    """Return whether two arrays agree up to rounding.
+
+    `number` is the reference value, and `value` the other one.
+    """
     return number.shape == value.shape and np.allclose(
         number, value, rtol=1e-6, atol=1e-9 * max(1.0, abs(number).max(initial=0.0))
     )
@@ -150,7 +153,10 @@ def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
 
 
 def trace(function: Any) -> ca.Function:
-    """Trace a function of time as a CasADi Function."""
+    """Convert a Python function of time to a CasADi Function.
+
+    The function is evaluated at a CasADi symbol. The result is t (s) → value.
+    """
     t = ca.MX.sym("t")
     return ca.Function("traced", [t], [ca.densify(ca.MX(function(t)))])
 

@@ -142,7 +142,7 @@ class Either(FieldType):
         return self._choose(item.value).read(item)
 
     def write(self, value: Any) -> Any:
-        """Write a value by the type that fits."""
+        """Convert a value for a file by the type that fits."""
         return self._choose(value).write(value)
 
     def schema(self, kinds: Schemas) -> Schema:

@@ -114,7 +114,7 @@ class Definition:
     def read_fields(self, table: Mapping[str, Item]) -> dict[str, Any]:
         """Read the fields of a table by name.
 
-        Raises SceneFileError.
+        `table` has the entries of a file by name. Raises SceneFileError.
         """
         known, earlier = dict(self._in_files()), getattr(self.build, "earlier_names", {})
         named = {earlier.get(name, name): item for name, item in table.items()}
@@ -146,7 +146,8 @@ class Definition:
     def schema(self, kinds: Schemas, tagged: bool = False) -> Schema:
         """Add the JSON Schema to `kinds`, and return a reference to it.
 
-        Tables that are `tagged` have to name their kind.
+        `kinds` are the definitions of the schema by name. Tables that are `tagged` have to name
+        their kind.
         """
         name = _schema_name(self.build, self.kind)
         if name not in kinds:

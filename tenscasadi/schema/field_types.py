@@ -108,7 +108,10 @@ class Numbers(FieldType):
         return TimeFormula(_as_tuples(found), tuple(item.document.numbers.items()))
 
     def check(self, field: str, value: Any) -> Any:
-        """Convert a constant of one shape to an array."""
+        """Convert a constant to a finite array of the only shape.
+
+        Other values are returned unchanged. Messages name `field`.
+        """
         if len(self.shapes) > 1 or self.free or self.varying or self.whole or self.unbounded:
             return value
         return finite_array(field, value, self.shapes[0])
@@ -132,7 +135,7 @@ class Numbers(FieldType):
         return item.whole() if self.whole else item.number(_FORMULA)
 
     def write(self, value: Any) -> Any:
-        """Write a number, nested lists, or formulas."""
+        """Convert numbers, arrays or functions of time for a file."""
         if isinstance(value, TimeFormula):
             try:
                 return value.plain()
@@ -205,13 +208,13 @@ class Flag(FieldType):
     """Field type of a Boolean."""
 
     def read(self, item: Item) -> bool:
-        """Read a Boolean."""
+        """Read a Boolean from a file."""
         if not isinstance(item.value, bool):
             raise item.error(f"is {format_value(item.value)}: give true or false")
         return item.value
 
     def write(self, value: Any) -> bool:
-        """Write a Boolean."""
+        """Convert a Boolean for a file."""
         return bool(value)
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -226,14 +229,14 @@ class Word(FieldType):
     options: tuple[str, ...] = ()
 
     def read(self, item: Item) -> str:
-        """Read a word."""
+        """Read a word from a file, and check it."""
         word = item.text(" or ".join(map(repr, self.options)) or "text")
         if self.options and word not in self.options:
             raise item.error(f"is {format_value(word)}: {nearest(word, self.options)}")
         return word
 
     def write(self, value: Any) -> str:
-        """Write a word."""
+        """Convert a word for a file."""
         return str(value)
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -255,7 +258,7 @@ class Option(FieldType):
     """
 
     def read(self, item: Item) -> Any:
-        """Read a solver option."""
+        """Read a solver option from a file, and check it."""
         if names_file(str(item.key[-1])):
             reason = "nothing is loaded or written because a scene file says so"
             raise item.error(f"may name a file, and {reason}: leave it out")
@@ -264,7 +267,7 @@ class Option(FieldType):
         return item.value
 
     def write(self, value: Any) -> Any:
-        """Write a solver option."""
+        """Convert a solver option for a file."""
         value = value.item() if isinstance(value, np.generic) else value
         if not isinstance(value, (bool, int, float, str)):
             raise NotWritten(f"{format_value(value)} is no number, flag or word: leave it out")
@@ -285,7 +288,7 @@ class Index(FieldType):
     which: ItemKind
 
     def read(self, item: Item) -> int:
-        """Read an index, or the index of a name."""
+        """Read an index, or the index of a name, from a file."""
         found = item.indices(self.which)
         if len(found) != 1:
             group = f"a group of {len(found)} {self.which}s"
@@ -293,7 +296,7 @@ class Index(FieldType):
         return found[0]
 
     def write(self, value: Any) -> int | str:
-        """Write an index, or a name."""
+        """Convert an index or a name for a file."""
         return str(value) if isinstance(value, str) else int(value)
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -334,7 +337,7 @@ class Members(FieldType):
         return [index for entry in entries for index in entry.indices(self.which)]
 
     def write(self, value: Any) -> list[int | str]:
-        """Write indices and names."""
+        """Convert indices and names for a file."""
         return [Index(self.which).write(entry) for entry in value]
 
     def schema(self, kinds: Schemas) -> Schema:
@@ -342,7 +345,10 @@ class Members(FieldType):
         return {"type": "array", "items": Index(self.which).schema(kinds)}
 
     def check(self, field: str, value: Any) -> Any:
-        """Convert a list to a tuple."""
+        """Convert a list to a tuple of indices and names.
+
+        Messages name `field`.
+        """
         return as_tuple(field, value, "[0, 1]")
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:

@@ -116,7 +116,10 @@ class Formula:
         return values[self._terms[0][0]]
 
     def with_numbers(self, numbers: Mapping[str, float]) -> str:
-        """Replace the names of declared numbers in the text by values."""
+        """Replace the names of declared numbers in the text by values.
+
+        `numbers` has the values by name. Returns the new text.
+        """
         known = {name: f"({value!r})" for name, value in numbers.items() if name not in RESERVED}
         return _NAME.sub(lambda found: known.get(found[0], found[0]), self.text)
 

@@ -413,7 +413,10 @@ def list_entries(field: str, value: Any) -> tuple[Any, ...] | None:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Suggest the nearest known word, or list known ones."""
+    """Suggest the nearest known word, or list known ones.
+
+    `word` is unknown, and `known` are the words that are allowed. Returns the end of a message.
+    """
     names = list(known)
     if close := difflib.get_close_matches(word[:80], names, 1):
         return f"did you mean {close[0]!r}?"

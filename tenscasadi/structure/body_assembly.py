@@ -86,7 +86,10 @@ class BodyAssembly:
     maps: tuple[MassMap, ...]
 
     def add_mass(self, M: Any) -> csr_array:
-        """Add the mass matrix of the bodies to M (n, n)."""
+        """Add the mass matrix of the bodies to M (n, n).
+
+        The result has the auxiliary nodes in its last rows and columns.
+        """
         rest = csr_array((len(self.nodes) - M.shape[0],) * 2)
         return csr_array(block_diag([M, rest]) + self.mass)
 

@@ -15,7 +15,10 @@ _INDICES = ("physical", "bar_columns", "string_columns")  # of a layout
 
 
 def write_derived(structure: Any) -> dict[str, Array]:
-    """Convert the derived attributes of a structure to arrays."""
+    """Convert the derived attributes of a structure to arrays.
+
+    They are those that `Structure.subdivide` and `Structure.from_matrices` set.
+    """
     layout: Layout = structure._layout
     ties, coupled = layout.P.tocoo(), structure.coupled_mass
     found = {

@@ -42,7 +42,7 @@ def equilibrium_matrix(structure: Any) -> Any:
     Returns
     -------
     csc_array, shape (free coordinates, α + β)
-        N K for a unit force density of each member [m].
+        Forces N K (3×n) along the free coordinates for a unit force density of each member [m].
     """
     pairs = member_pairs(structure)
     vectors = member_vectors(structure.nodes, pairs)

@@ -96,7 +96,10 @@ def reset_item_fields(structure: Any, changes: dict[str, Any]) -> None:
 
 
 def label(names: Sequence[str], index: int) -> str:
-    """Return the name of an item, or its index."""
+    """Return the name of an item, or its index.
+
+    `names` are those of all items, or empty.
+    """
     return (names[index] if names else "") or str(index)
 
 

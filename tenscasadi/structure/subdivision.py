@@ -107,7 +107,7 @@ def average_segments(values: Array, parent: Indices, fraction: Array) -> Array:
     """Average values (..., α) of segments over each parent string.
 
     `parent` (α,) is the parent string of each segment, and `fraction` (α,) its part of the parent's
-    length, which is its weight.
+    length, which is its weight. The result is (..., parents).
     """
     weight = np.zeros((len(parent), int(parent.max(initial=-1)) + 1))
     weight[np.arange(len(parent)), parent] = fraction

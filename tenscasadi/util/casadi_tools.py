@@ -129,7 +129,10 @@ def hermite_cubic(
 
 
 def drop_rounding(matrix: Any) -> sp.csr_array:
-    """Remove entries at rounding level from a sparse matrix."""
+    """Remove entries at rounding level from a sparse matrix.
+
+    They are below 1e-14 of the largest entry.
+    """
     result = sp.csr_array(matrix)
     if result.nnz:
         result.data[abs(result.data) < 1e-14 * abs(result.data).max()] = 0

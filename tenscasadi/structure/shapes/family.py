@@ -106,5 +106,8 @@ def place_ring(count: int, radius: float, start: float, z: float) -> Array:
 
 
 def polygon(nodes: Indices) -> Indices:
-    """Build the node pairs of the sides of a closed polygon."""
+    """Build the node pairs (sides, 2) of a closed polygon.
+
+    `nodes` are its corners in order.
+    """
     return np.column_stack([nodes, np.roll(nodes, -1)])
