@@ -9,10 +9,11 @@ constraints. The constrained one is
 with λ̂ and Ω such that bᵢᵀ of its bar i is −rᵢ and its joints (times P) are −R. In reduced
 coordinates joints are satisfied by construction and P has no columns. λ solves ((BᵀB) ∘ G) λ = −r
 with G = C_b M⁻ C_bᵀ (Eqs. 94-95). In full coordinates every bar has its own nodes and G is
-diagonal. λ̂ is eliminated bar by bar, and Ω solves Eq. 103 (corrected, and symmetric). Symbols of
-the functions: `mech` has the constant matrices of the structure. N and V (3×n) are node positions
-and velocities, B (3×β) the vectors b of the β rigid bars, and c the number of joint constraints N P
-= D.
+diagonal. λ̂ is eliminated bar by bar, and Ω solves Eq. 103 (corrected, and symmetric).
+
+In the functions, `mech` has the constant matrices of the structure. N and V (3×n) are node
+positions and velocities, and B (3×β) are the vectors b of the β rigid bars. N P = D are c joint
+constraints with prescribed positions D (3×c).
 """
 
 from __future__ import annotations

@@ -256,10 +256,10 @@ class Collocation(NamedScheme, kind="Collocation"):
 def _halve_unsolved(whole: ca.Function) -> ca.Function:
     """Build a step that is divided into halves if `whole` fails.
 
-    `whole` is a Function (z, u, h, tolerance) → z_next that returns NaN if it fails, and so is the
-    result. The halves are divided likewise, up to ten times. Near an impact the modes of strings
-    and contacts, or sticking and sliding, may alternate between iterations. In a short step the
-    forces hardly change and each iteration converges. Other steps cost as much as before.
+    `whole` is a Function (z, u, h, tolerance) → z_next that returns NaN if it fails. The result has
+    the same form. The halves are divided likewise, up to ten times. Near an impact the modes of
+    strings and contacts, or sticking and sliding, may alternate between iterations. In a short step
+    the forces hardly change and each iteration converges. Other steps cost as much as before.
     """
     symbols = [ca.MX.sym(whole.name_in(i), whole.size1_in(i)) for i in range(4)]
     z, u, h, tolerance = symbols

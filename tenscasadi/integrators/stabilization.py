@@ -277,7 +277,7 @@ def _rescale(mech: Mechanism, N: Any) -> Any:
     """Restore the lengths of bars that are not joined to others.
 
     N (3×n) are the node positions, and `mech` has the lengths. Each bar vector is scaled to its
-    length, by displacements of its ends in inverse proportion to their masses. Returns the
+    length, by the smallest displacements of its ends in the norm of the mass matrix. Returns the
     corrected positions (3×n).
     """
     B = mech.bar_vectors(N)

@@ -180,8 +180,8 @@ def _solver(model: Model) -> ca.Function:
 
     Function (x, w, g, r, moved) → δ with (I − g ∂a/∂v − g² ∂a/∂q) δ = r, approximately, for the
     acceleration a. See `build_mode_ode` for w. `moved` is the change of velocities in the last
-    sweep [m/s]. x is the state. g (h times a coefficient of the method) is the effective step [s], q
-    are the coordinates and v their velocities.
+    sweep [m/s]. x is the state. g (h times a coefficient of the method) is the effective step [s].
+    q are the coordinates, and v their velocities.
     """
     nq = model.nq
 

@@ -10,8 +10,8 @@ import casadi as ca
 class Contact(NamedTuple):
     """Penetration of n points into a surface.
 
-    `depth` is the penetration depth, and `outward` the direction of the normal force. `weight`
-    multiplies the force.
+    `depth` is the penetration depth, and `outward` the direction of the normal force, of length
+    `steepness`. `weight` multiplies the force.
     """
 
     depth: Any  # 1×n [m], negative above the surface
