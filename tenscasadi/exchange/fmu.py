@@ -28,7 +28,11 @@ _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": 
 
 
 class _Variable(NamedTuple):
-    """Input, parameter or output of an FMU."""
+    """Input, parameter or output of an FMU.
+
+    `causality` is "input", "output" or "parameter", and `start` the initial value (None for
+    outputs).
+    """
 
     name: str
     unit: str
@@ -147,7 +151,10 @@ def _write_header(model: Model, guid: str, step: float) -> str:
 
 
 def _describe(variables: list[_Variable], guid: str) -> str:
-    """Build the text of modelDescription.xml."""
+    """Build the text of modelDescription.xml.
+
+    `guid` identifies the FMU, and `variables` are in the order of their value references.
+    """
     variability = {"input": "continuous", "output": "continuous", "parameter": "tunable"}
     units = sorted({variable.unit for variable in variables})
     scalars = []

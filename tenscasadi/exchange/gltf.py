@@ -112,7 +112,11 @@ def export_gltf(data: Any, path: FilePath, *, time: float | None = None) -> Path
 
 
 def _list_names(motion: Motion, part: str, count: int) -> list[str]:
-    """Build unique object names for nodes, bars, strings or supports."""
+    """Build unique object names for nodes, bars, strings or supports.
+
+    `part` is "nodes", "bars", "strings" or "supports", and `count` the number of objects, over all
+    copies of the structure.
+    """
     if part == "supports":
         return [f"support {k}" for k in range(count)]
     own, copies = motion.names[part], motion.copies
@@ -128,7 +132,8 @@ def _list_names(motion: Motion, part: str, count: int) -> list[str]:
 def _add_copies(scene: Any, mesh: Mesh, names: list[str], poses: Poses, colors: Bytes) -> None:
     """Add copies of a mesh to a glTF scene.
 
-    Copies of one color share their geometry.
+    Each copy has one of the `names`, one of the `poses`, and an RGB color. Copies of one color
+    share their geometry.
     """
     import trimesh
 
@@ -160,7 +165,10 @@ def _build_transforms(poses: Poses) -> Array:
 
 
 def _color(trimesh: Any, mesh: Mesh, color: Rgb) -> Any:
-    """Build a mesh with a material of one color."""
+    """Build a mesh with a material of one color.
+
+    `trimesh` is the imported package.
+    """
     material = trimesh.visual.material.PBRMaterial(
         baseColorFactor=[*linearize_colors(color).tolist(), 255],
         metallicFactor=0.0,

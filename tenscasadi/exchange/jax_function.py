@@ -109,7 +109,8 @@ def _run(
 ) -> dict[int, Any]:
     """Execute CasADi instructions on JAX arrays.
 
-    Returns the nonzeros of the output by their places.
+    `arrays` are the nonzeros of the inputs, and `operations` the JAX functions by operation code.
+    Returns the nonzeros of the output by their indices.
     """
     work: dict[int, Any] = {}
     out: dict[int, Any] = {}
@@ -136,7 +137,10 @@ def _read_instruction(function: ca.Function, k: int) -> _Instruction:
 
 
 def _list_operations(jnp: Any) -> dict[int, Callable[..., Any]]:
-    """Return the JAX functions for CasADi's operation codes."""
+    """Return the JAX functions for CasADi's operation codes.
+
+    The result is keyed by operation code. `jnp` is the module `jax.numpy`.
+    """
     same = "sin cos tan exp log sqrt floor ceil sinh cosh tanh expm1 log1p hypot sign"
     table = {getattr(ca, f"OP_{name.upper()}"): getattr(jnp, name) for name in same.split()}
     for name in ("asin", "acos", "atan", "asinh", "acosh", "atanh"):

@@ -55,9 +55,9 @@ class Source:
         self.changes: list[str] = []
 
     def read(self, path: Path | None = None, most: int = 16_000_000) -> bytes:
-        """Read a regular file of limited size.
+        """Read a regular file of at most `most` bytes.
 
-        Raises SceneFileError, FileNotFoundError.
+        `path` is the file; None means the main one. Raises SceneFileError, FileNotFoundError.
         """
         place = self.path if path is None else path
         if not place.exists():

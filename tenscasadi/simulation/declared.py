@@ -247,7 +247,8 @@ class Simulation:
     def _interpolate_rows(self, rows: Array) -> Array:
         """Interpolate positions or velocities of nodes inside strings.
 
-        They are linear between the ends of a string that is divided into segments.
+        `rows` (n, 3) are those of the structure's nodes. They are linear between the ends of a
+        string that is divided into segments.
         """
         structure = self.scene.structure
         if len(rows) == len(self.scene.modelled.nodes):

@@ -225,7 +225,10 @@ class Rollouts(Viewable, SceneResult, form="tenscasadi rollouts 1", title="file 
 
 
 def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -> Array:
-    """Compute positions (m, T, k, 3) of selected nodes [m]."""
+    """Compute positions (m, T, k, 3) of selected nodes [m].
+
+    `motions` selects m of the runs, and `nodes` selects k nodes.
+    """
     follow = rollouts.follow[np.isin(rollouts.follow[:, 0], nodes)]
     dependent, others = (follow[:, k].astype(np.intp) for k in (0, 1))
     chosen = np.arange(len(rollouts.place))[nodes]
@@ -248,7 +251,7 @@ def node_positions(rollouts: Rollouts, nodes: Any, motions: Any = slice(None)) -
 
 
 def _check_values(content: Mapping[str, Any]) -> None:
-    """Check the values of the fields.
+    """Check the values of the fields of a file (`content`).
 
     Raises ValueError with the name of the first wrong field. Only failed runs may contain values
     that are not finite.

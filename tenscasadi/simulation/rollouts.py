@@ -197,7 +197,7 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
 
 
 def _find_weights(mech: Mechanism) -> Array:
-    """Find nodes that are affine combinations of others, with weights.
+    """Find nodes of a mechanism that are affine combinations of others.
 
     The result (w, 3) has the dependent node, an independent node, and its weight in each row.
     """

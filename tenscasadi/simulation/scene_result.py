@@ -76,7 +76,7 @@ def _read_scene(document: Document) -> dict[str, Any]:
 
 
 def format_largest(errors: Array, unit: str = "") -> str:
-    """Format the largest known error for a summary.
+    """Format the largest known error, with its unit, for a summary.
 
     NaN and inf are ignored. Without another error the text is "not computed".
     """

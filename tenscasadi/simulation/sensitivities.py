@@ -254,11 +254,13 @@ def _prepare_pass(
     over: str,
     by: str,
 ) -> tuple[PassSetup, ca.Function]:
-    """Prepare a run's derivatives, and the output function.
+    """Prepare the derivatives of a run, and the output function.
 
-    `observed` is the output, a Function (x, w). If `over` is "run", it is integrated over time. The
-    derivatives are with respect to the initial state, the control or the parameters: `by` is
-    "state", "control" or "parameters". The output includes a control that is a function of time.
+    `request` contains the arguments of the run. `observed` is the output, a Function (x, w). If
+    `over` is "run", it is integrated over time. The derivatives are with respect to the initial
+    state, the control or the parameters: `by` is "state", "control" or "parameters". The output
+    includes a control that is a function of time. The `correction` restores constraints between
+    steps.
     """
     inputs = read_inputs(
         model,
@@ -286,7 +288,8 @@ def _prepare_pass(
 class _RunArguments(NamedTuple):
     """Arguments of the run that is differentiated.
 
-    `last` is the final state of a given trajectory, else None.
+    They are those of `simulate`, with the initial state `start` (nx,). `last` is the final state of
+    a given trajectory, else None.
     """
 
     start: Array
@@ -399,9 +402,10 @@ def _read_output(model: Model, output: Any) -> ca.Function:
 
 
 def _owners(control: Any, inputs: RunInputs) -> Indices:
-    """Find the control interval to which each step belongs.
+    """Find the control interval (steps,) to which each step belongs.
 
-    The interval is that of a table or a profile, or the step itself.
+    The interval is that of a table or a profile, or the step itself. `inputs` contain the time
+    grid.
     """
     grid = inputs.grid
     steps = np.arange(grid.steps)
@@ -477,8 +481,8 @@ def _loop(
     """Build the Function of a tangent or adjoint pass.
 
     With `forward`, it is a tangent pass. It propagates `width` directions at a time. The model
-    caches the Function. Also returns whether it is machine code, and the reason if it should be but
-    is not, else "".
+    caches the Function. `compiled` is whether machine code is required, with None for a choice.
+    Also returns whether it is machine code, and the reason if it should be but is not, else "".
     """
     steps, held = task.steps, task.entries is None
     known, key = steps.model.functions, ("derivatives", *steps[1:], forward, width, held, compiled)

@@ -194,7 +194,7 @@ def check_options(
 ) -> Compiled:
     """Check the options of runs, and return `compiled`.
 
-    Raises TypeError.
+    `flags` are options by name that must be True or False. Raises TypeError.
     """
     check_model(model)
     check_scheme(scheme)
@@ -205,7 +205,10 @@ def check_options(
 
 
 def record_run(model: Model, runs: Runs, verdict: Verdict) -> Trajectory:
-    """Convert a computed run to a trajectory with its acceptance test."""
+    """Convert a computed run to a trajectory with its acceptance test.
+
+    `verdict` is the result of this test.
+    """
     request, rolled, steps = runs.request, runs.rolled, runs.saved_steps(0)
     inputs, scheme, count = request.inputs, request.scheme, len(steps)
     given, model = model, inputs.base

@@ -134,7 +134,7 @@ def load_simulation(path: FilePath) -> Simulation:
 
 
 def read_simulation(document: Document, scene: Scene) -> Simulation:
-    """Read the tables [start] and [simulation] of a scene file.
+    """Read the tables [start] and [simulation] of a scene file (`document`).
 
     Raises SceneFileError.
     """

@@ -20,7 +20,8 @@ CHUNK = 256  # steps per call, between saved states
 class TangentSteps(NamedTuple):
     """Model, scheme and correction of the steps to differentiate.
 
-    With a Function `running` (x, w) → (1), the last entry of z is its integral over time.
+    The state z is that of the model. With a Function `running` (x, w) → (1), the last entry of z is
+    its integral over time.
     """
 
     model: Model
@@ -167,7 +168,7 @@ def _push_tangents(
 
 
 def _variational(steps: TangentSteps, width: int, held: bool) -> ca.Function:
-    """Build the variational equation of the right-hand side.
+    """Build the variational equation of the right-hand side of `steps`.
 
     It has `width` tangents. With `held`, the inputs have none. Function (y, v) → ẏ, see
     `tangent_function`.

@@ -42,8 +42,9 @@ class PassSetup(NamedTuple):
 class PassResult(NamedTuple):
     """Derivatives from a pass, with a check of its states.
 
-    `integral` is the time integral of a running output. `apart` is the largest difference between
-    the states that the pass recomputes and those of the run.
+    `jacobian` are those of the outputs. `integral` is the time integral of a running output.
+    `apart` is the largest difference between the states that the pass recomputes and those of the
+    run.
     """
 
     jacobian: Array
@@ -54,8 +55,8 @@ class PassResult(NamedTuple):
 class _Chunk(NamedTuple):
     """CHUNK successive steps of a run.
 
-    It has the initial z, the inputs w (CHUNK, nw), the lengths and correction flags of the steps
-    (CHUNK, 2), and their intervals (≤ CHUNK,).
+    It has the initial z, the inputs w (CHUNK, nw), and the lengths and correction flags of the
+    steps (`grid`, (CHUNK, 2)). `owner` (≤ CHUNK,) are their control intervals.
     """
 
     z: Array
@@ -112,7 +113,11 @@ def run_forward(task: PassSetup, tangent: ArrayFunction, width: int, by_z: Array
 
 
 def run_adjoint(task: PassSetup, gradient: ArrayFunction, width: int, by_z: Array) -> PassResult:
-    """Propagate gradients of the outputs backward, `width` at a time."""
+    """Propagate gradients of the outputs backward, `width` at a time.
+
+    `gradient` is the Function of `gradient_function` for a chunk of steps. `by_z` (outputs, nz) is
+    the Jacobian of the outputs with respect to the final z.
+    """
     nx, nz, nw, rows = task.steps.model.nx, task.steps.size, task.steps.model.nw, len(by_z)
     jacobian, found = np.zeros((rows, *task.shape)), PassResult(np.zeros(0), 0.0, 0.0)
     for begin in range(0, rows, width):

@@ -349,8 +349,9 @@ def record_trajectory(
     """Build a trajectory, with forces and energies, from states.
 
     The states are (T, nx) at `time` (T,). The controls (T, nw) are followed by the parameters.
-    `observed` is the result of `observe_states`, if it is known. Other fields of `Trajectory` may
-    be given; by default, the run has succeeded and its energy error is not known.
+    `step` is the time step [s], and `message` describes the run's end. `observed` is the result of
+    `observe_states`, if it is known. Other fields of `Trajectory` may be given; by default, the run
+    has succeeded and its energy error is not known.
     """
     rows = len(time)
     if observed is None:
@@ -396,7 +397,7 @@ _UNKNOWN = (
 
 
 def _check_values(content: Mapping[str, Any]) -> None:
-    """Check the values of the fields.
+    """Check the values of the fields of a file (`content`).
 
     Raises ValueError with the name of the first wrong field. Only failed runs may contain values
     that are not finite.

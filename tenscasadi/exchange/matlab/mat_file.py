@@ -61,9 +61,8 @@ def read_mat(source: Source) -> dict[str, Any]:
 def write_mat(path: FilePath, content: Mapping[str, Any]) -> Path:
     """Write variables to exactly `path` in MATLAB's format v7.
 
+    `content` maps names to numbers, arrays, texts, or dictionaries for structs. Returns the path.
     Raises OSError.
-
-    Values are numbers, arrays, texts, and dictionaries for structs. Returns the path.
     """
     from scipy.io import savemat  # slow import
 
@@ -73,7 +72,10 @@ def write_mat(path: FilePath, content: Mapping[str, Any]) -> Path:
 
 
 def _check_version(name: str, whole: bytes) -> None:
-    """Raise SceneFileError if the file has another version."""
+    """Raise SceneFileError if a .mat file has an unsupported version.
+
+    `whole` contains the bytes of the file, and `name` is its name for the message.
+    """
     cure = f"save it in MATLAB with save('{name}', ..., '-v7')"
     _, version, order = _HEADER.unpack(whole[: _HEADER.size].ljust(_HEADER.size))
     if whole[:8] == b"\x89HDF\r\n\x1a\n" or version in (b"\x00\x02", b"\x02\x00"):
@@ -84,8 +86,9 @@ def _check_version(name: str, whole: bytes) -> None:
 
 
 def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
-    """Yield names and values of all variables.
+    """Yield names and values of all variables of a .mat file.
 
+    `whole` contains the bytes of the file. `limit` is the largest number of decompressed bytes.
     Raises ValueError and others if the file is damaged.
     """
     left = limit
@@ -112,7 +115,8 @@ def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
 def _read_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
     """Yield types and contents of consecutive elements of a .mat file.
 
-    Raises ValueError if an element exceeds the data.
+    Types are MATLAB's numeric codes. `order` is the byte order, "<" or ">". Raises ValueError if an
+    element exceeds the data.
     """
     at = 0
     while at < len(data):
@@ -131,8 +135,9 @@ def _read_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryvi
 def _read_matrix(content: memoryview, order: str, depth: int) -> tuple[str, Any]:
     """Read the name and value of an array in a .mat file.
 
-    `order` is the byte order as in `struct`, and `depth` the number of structs around the array.
-    The value is None for other kinds of values. Raises ValueError and others if it is damaged.
+    `content` contains the array's bytes. `order` is the byte order as in `struct`, and `depth` the
+    number of structs around the array. The value is None for other kinds of values. Raises
+    ValueError and others if it is damaged.
     """
     if not len(content):
         return "", np.zeros((0, 0))

@@ -127,7 +127,8 @@ def find_structure(
 ) -> ParsedStructure:
     """Build the structure that variables of a MATLAB file describe.
 
-    Raises TypeError, SceneFileError.
+    `name` is the struct variable to read; None selects it automatically. `options` are keywords of
+    `Structure`, which replace values of the file. Raises TypeError, SceneFileError.
     """
     allowed = [key for key in PARAMETERS if key not in ("nodes", "bars", "strings")]
     for key in set(options) - set(allowed):
@@ -245,9 +246,10 @@ def _lump_string_mass(source: Source, structure: Structure) -> Structure:
 
 
 def _read_members(variables: Variables, keys: tuple[str, ...], count: int) -> Indices:
-    """Read bars or strings as pairs of nodes.
+    """Read bars or strings as pairs (k, 2) of nodes.
 
-    Raises TypeError, ValueError.
+    `keys` are possible names of the variable, and `count` is the number of nodes. The result is
+    empty if no name is present. Raises TypeError, ValueError.
     """
     for key in keys:
         if key in variables:
@@ -259,9 +261,9 @@ def _read_members(variables: Variables, keys: tuple[str, ...], count: int) -> In
 
 
 def _read_node_mass(source: Source, variables: Variables, count: int, bars: Indices) -> Array:
-    """Read the point mass of each column of N.
+    """Read the point mass (count,) of each column of N [kg].
 
-    In MOTES only nodes without bars have one.
+    In MOTES only nodes without `bars` have one.
     """
     if "node_mass" in variables:
         return read_values(source, variables, "node_mass", count)
@@ -275,9 +277,9 @@ def _read_node_mass(source: Source, variables: Variables, count: int, bars: Indi
 
 
 def _read_pins(variables: Variables, count: int) -> dict[int, str]:
-    """Read the pinned axes of nodes.
+    """Read the pinned axes of nodes, such as "xy", by node.
 
-    Raises ValueError.
+    `count` is the number of nodes. Raises ValueError.
     """
     held = np.zeros((count, 3), dtype=bool)
     axes = ("pinned_X", "pinned_Y", "pinned_Z")
@@ -302,9 +304,9 @@ def _read_pins(variables: Variables, count: int) -> dict[int, str]:
 
 
 def _read_cables(source: Source, variables: Variables, count: int) -> dict[str, Any]:
-    """Read cables and their friction.
+    """Read cables and their friction, as keywords of `Structure`.
 
-    Raises TypeError, ValueError.
+    `count` is the number of strings. Raises TypeError, ValueError.
     """
     if "cable_strings" not in variables:
         return {}
@@ -319,7 +321,7 @@ def _read_cables(source: Source, variables: Variables, count: int) -> dict[str, 
 def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
     """Read rigid bodies, the fields of a struct.
 
-    Raises TypeError, ValueError.
+    `count` is the number of nodes. Raises TypeError, ValueError.
     """
     bodies = []
     structs = variables.get("rigid_bodies", {})
@@ -338,9 +340,9 @@ def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
 
 
 def _read_rollers(variables: Variables, count: int) -> dict[int, Array]:
-    """Read the normals of nodes on rollers.
+    """Read the roller normals (·, 3) of each node on rollers.
 
-    Raises TypeError, ValueError.
+    `count` is the number of nodes. Raises TypeError, ValueError.
     """
     if "roller_nodes" not in variables:
         return {}

@@ -128,7 +128,7 @@ def load_mat_trajectory(
 
 
 def _restore(variables: Variables) -> Trajectory:
-    """Restore a trajectory that `save_mat` wrote.
+    """Restore a trajectory from the variables that `save_mat` wrote.
 
     Raises KeyError, TypeError, ValueError.
     """
@@ -225,9 +225,10 @@ _ADDED = ("error_estimate",)  # fields that files of earlier versions do not hav
 
 
 def _record(model: Model, motion: ForeignTrajectory, parameters: Any, name: str) -> Trajectory:
-    """Build a trajectory with forces by the model.
+    """Build a trajectory whose forces follow from the model.
 
-    Raises ValueError.
+    `motion` contains its times and states, and `name` is the file's name for messages. Raises
+    ValueError.
     """
     rows = len(motion.time)
     controlled = isinstance(model.scene.control, ForceDensity)

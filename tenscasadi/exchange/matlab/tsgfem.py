@@ -80,7 +80,7 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
 
 
 def _read_cables(variables: Variables, count: int) -> Indices:
-    """Read the cable of each member from the matrix S.
+    """Read the index of each member's cable (count,) from the matrix S.
 
     A cable is a row of S.
     """
@@ -128,7 +128,8 @@ def _order_cables(
 def _add_rest_lengths(variables: Variables, lengths: Array) -> Variables:
     """Add the rest lengths l0 of members (m,) if they are missing.
 
-    They are the first ones of l0_t, or E A l/(E A + t) for the forces t, or t = q l.
+    They are the first ones of l0_t, or E A l/(E A + t) for the forces t, or t = q l. `lengths` (m,)
+    are the lengths l [m].
     """
     if "l0" in variables:
         return variables

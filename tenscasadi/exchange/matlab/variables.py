@@ -15,10 +15,10 @@ Variables = Mapping[str, Any]
 
 
 def read_values(source: Source, variables: Variables, key: str, count: int) -> Array:
-    """Read one number per item, or one for all.
+    """Read the variable `key`: one number per item, or one for all.
 
-    Of a matrix with a column for each time, only the first column is read. Raises TypeError,
-    ValueError.
+    The result is (count,). Of a matrix with a column for each time, only the first column is read.
+    Raises TypeError, ValueError.
     """
     value = variables[key]
     cure = f"give {count} numbers or one"
@@ -36,9 +36,9 @@ def read_values(source: Source, variables: Variables, key: str, count: int) -> A
 
 
 def read_indices(key: str, value: Any, count: int) -> Indices:
-    """Convert MATLAB indices, which count from 1, to zero-based ones.
+    """Convert MATLAB indices from 1 to `count` to zero-based ones.
 
-    Raises ValueError.
+    `key` is the variable's name for messages. Raises ValueError.
     """
     if not isinstance(value, np.ndarray):
         raise ValueError(f"{key} is {format_value(value)}: give numbers from 1 to {count}")
@@ -49,9 +49,10 @@ def read_indices(key: str, value: Any, count: int) -> Indices:
 
 
 def read_pairs(key: str, value: Any, count: int) -> Indices:
-    """Convert a connectivity matrix or list to zero-based node pairs.
+    """Convert a connectivity matrix or list to zero-based node pairs (k, 2).
 
-    A list counts from 1. Raises TypeError, ValueError.
+    `key` is the variable's name for messages, and `count` the number of nodes. A list counts from
+    1. Raises TypeError, ValueError.
     """
     if isinstance(value, np.ndarray) and value.size == 0:
         return np.zeros((0, 2), dtype=np.intp)
@@ -92,14 +93,15 @@ def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
 def read_rows(key: str, value: Any, count: int) -> list[list[int]]:
     """Read the lists of indices that `pad_rows` converted.
 
-    Raises TypeError, ValueError.
+    `key` is the variable's name for messages. MATLAB's indices are 1 to `count`. Raises TypeError,
+    ValueError.
     """
     table = finite_array(key, value, (None, None))
     return [read_indices(key, row[row != 0], count).tolist() for row in table]
 
 
 def is_filled(variables: Variables, key: str) -> bool:
-    """Return whether a variable has nonzero numbers."""
+    """Return whether the variable `key` is an array with nonzero numbers."""
     value: Any = variables.get(key)
     if issparse(value):
         return bool(value.nnz)

@@ -49,7 +49,10 @@ class Piece:
 
 
 class Site(NamedTuple):
-    """Site of an MJCF file: its rigid piece and its position [m]."""
+    """Site of an MJCF file.
+
+    `piece` is the index of its rigid piece, and `place` (3,) its position [m].
+    """
 
     piece: int
     place: Array

@@ -91,7 +91,7 @@ def find_held_directions(s: Structure) -> dict[int, Array]:
 def find_free_directions(held: Array) -> Array:
     """Compute orthonormal directions perpendicular to given ones.
 
-    Shapes are (3 − k, 3) and (k, 3).
+    The result is (3 − k, 3). The given directions `held` (k, 3) are orthonormal.
     """
     if np.count_nonzero(held) == len(held):  # coordinate axes: keep the others exact
         return np.eye(3)[~held.any(axis=0)]
@@ -151,7 +151,10 @@ class _TreeBuilder:
         return Link(bar, None, node, find_free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
-        """Add a bar to the tree, and yield possible children."""
+        """Add a bar to the tree, and yield the links of bars attached to it.
+
+        `link` is the bar with its connection to the tree.
+        """
         self.found.links.append(link)
         for node in self.bars[link.bar]:
             joint = node == link.node

@@ -49,7 +49,7 @@ class ContactWeights(NamedTuple):
 def contact_weights(scene: Scene, tree: BodyTree) -> ContactWeights:
     """Compute inverse masses and loads for contact parameters.
 
-    The inverse mass A is 0 at fixed nodes.
+    The inverse mass A [1/kg] is 0 at fixed nodes. `tree` is MuJoCo's tree of the scene's bars.
     """
     s = scene.modelled
     held, bars = find_held_directions(s), inverse_weights(s, tree) if len(s.bars) else np.zeros(0)
@@ -79,7 +79,7 @@ def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
     """Compute inverse effective masses of rigid bodies by node [1/kg].
 
     It is the acceleration of the center of mass per unit force, averaged over all directions. Nodes
-    of bars and pinned nodes are omitted.
+    of bars, which belong to `tree`, and pinned nodes are omitted.
     """
     found: dict[int, float] = {}
     for body in s.bodies:
@@ -104,13 +104,17 @@ def body_weights(s: Structure, tree: BodyTree) -> dict[int, float]:
 def _point_velocity(arm: Array) -> Array:
     """Build the Jacobian (3, 6) of a point's velocity.
 
-    The arguments are the velocity of the center and the angular velocity.
+    It multiplies the velocity of the center and the angular velocity. `arm` (3,) is the vector from
+    the center to the point [m].
     """
     return np.hstack([np.eye(3), -np.cross(np.eye(3), arm)])
 
 
 def list_touching(ground: Ground, s: Structure, inverse: Array) -> list[int]:
-    """List the moving nodes on which a ground acts."""
+    """List the moving nodes on which a ground acts.
+
+    `inverse` (n,) are the nodes' inverse masses [1/kg], 0 for fixed nodes.
+    """
     return [node for node in ground.select_nodes(s).tolist() if inverse[node] > 0]
 
 
@@ -120,6 +124,7 @@ def contact_numbers(
     """Compute MuJoCo's contact attributes of a node or bar.
 
     They are stiffness, damping and friction, per mass, of its contact with a ground or another bar.
+    `inverse` is the inverse mass [1/kg], and `standing` the load on one supporting node [N].
     """
     impedance = [IMPEDANCE, IMPEDANCE, IMPEDANCE, 0.5, 2.0]
     found = {
@@ -140,8 +145,9 @@ def ground_numbers(
 ) -> dict[str, float | None]:
     """Compute parameters of a `Ground` from MuJoCo's contact attributes.
 
-    They are stiffness, damping, friction and slip speed. `inverse` is the inverse mass [1/kg], and
-    `standing` the load on one supporting node [N].
+    They are stiffness, damping, friction and slip speed. `solref` and `solreffriction` (2,) are
+    MuJoCo's attributes in normal and tangential direction. `inverse` is the inverse mass [1/kg],
+    and `standing` the load on one supporting node [N].
     """
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {

@@ -20,7 +20,10 @@ from tenscasadi.util.validate import LARGEST, MAX_COUNT, Array, format_value
 
 @dataclass(frozen=True)
 class Element:
-    """XML element with its attributes, children and line number."""
+    """XML element with its tag, attributes, children and line number.
+
+    `source` is the import that it belongs to, and `file` the name of its file.
+    """
 
     tag: str
     attributes: Mapping[str, str]
@@ -41,7 +44,7 @@ class Element:
         return replace(self, attributes=attributes)
 
     def error(self, message: str, attribute: str = "") -> SceneFileError:
-        """Build the error that names this element or an attribute."""
+        """Build an error with a message that names this element or an attribute."""
         name = self.attributes.get("name")
         tag = f"<{self.tag}>" if name is None else f'<{self.tag} name="{format_value(name)[1:-1]}">'
         return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
@@ -49,18 +52,18 @@ class Element:
     def leave_out(self, message: str, attribute: str = "") -> None:
         """Omit the element or an attribute from the import.
 
-        Raises SceneFileError if strict.
+        Raises SceneFileError if strict. `message` is the reason.
         """
         self.source.leave_out(self.error(message, attribute))
 
     def text(self, attribute: str, default: str = "") -> str:
-        """Return an attribute as text."""
+        """Return an attribute as text, or `default` if it is missing."""
         return self.attributes.get(attribute, default)
 
     def word(self, attribute: str, default: str, *words: str) -> str:
-        """Read an attribute that must be one of given words.
+        """Read an attribute that must be one of `words`.
 
-        Raises SceneFileError.
+        `default` replaces a missing attribute. Raises SceneFileError.
         """
         found = self.text(attribute, default)
         if found not in words:
@@ -85,7 +88,8 @@ class Element:
     ) -> Array:
         """Read an attribute of finite numbers.
 
-        `count` is their number, or the allowed numbers. Raises SceneFileError.
+        `count` is their number, or the allowed numbers. `default` replaces a missing attribute;
+        with None it raises SceneFileError.
         """
         counts = [count] if isinstance(count, int) else list(count)
         expected = f"{' or '.join(map(str, counts))} number{'s' * (counts != [1])}"
@@ -106,12 +110,12 @@ class Element:
     def number(self, attribute: str, default: float | None = None) -> float:
         """Read an attribute of one number.
 
-        Raises SceneFileError.
+        `default` replaces a missing attribute; with None it raises SceneFileError.
         """
         return float(self.numbers(attribute, 1, None if default is None else [default])[0])
 
     def whole(self, attribute: str, default: int) -> int:
-        """Read an attribute of one integer.
+        """Read an attribute of one integer, or `default` if it is missing.
 
         Raises SceneFileError.
         """

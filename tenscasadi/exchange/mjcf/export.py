@@ -210,9 +210,9 @@ def _check_scene(scene: Scene) -> None:
 
 @name_errors
 def _check_velocities(s: Structure, given: ArrayLike) -> Array:
-    """Check that velocities satisfy bars and pins.
+    """Check that velocities (n, 3) [m/s] satisfy bars and pins.
 
-    Raises TypeError, ValueError.
+    Returns `given` as an array. Raises TypeError, ValueError.
     """
     V = finite_array("velocities", given, (len(s.nodes), 3))
     least = 1e-9 * abs(V).max(initial=0.0)

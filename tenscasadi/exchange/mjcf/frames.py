@@ -31,7 +31,10 @@ class Units(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """Coordinate frame: position, and rotation matrix with the axes as columns."""
+    """Coordinate frame: origin `place` (3,) [m] and rotation matrix `turn`.
+
+    Columns of `turn` (3, 3) are the frame's axes in the outer frame.
+    """
 
     place: Array
     turn: Array
@@ -51,7 +54,7 @@ WORLD = Pose(np.zeros(3), np.eye(3))
 def read_pose(element: Element, units: Units) -> Pose:
     """Read the coordinate frame of an element.
 
-    Raises SceneFileError.
+    `units` are the file's conventions for angles. Raises SceneFileError.
     """
     given = [name for name in _SIZES if name in element.attributes]
     if len(given) > 1:
@@ -99,6 +102,6 @@ def _normalize(element: Element, name: str, vector: Array) -> Array:
 
 
 def _rotate(axis: Array, angle: float) -> Array:
-    """Compute the rotation about a unit axis (Rodrigues)."""
+    """Compute the rotation matrix about a unit axis by an angle [rad]."""
     across = np.cross(np.eye(3), axis)
     return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)

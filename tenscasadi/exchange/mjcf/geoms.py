@@ -78,6 +78,7 @@ class Geom(NamedTuple):
 def read_geom(element: Element, outer: Pose, units: Units, has_mass: bool) -> Geom:
     """Read a geom whose body has the frame `outer`.
 
+    `units` are the file's conventions for angles. Without `has_mass` the geom's mass is ignored.
     Raises SceneFileError.
     """
     frame = read_pose(element, units).within(outer)
@@ -161,7 +162,8 @@ def _compute_mass(
 def read_inertial(element: Element, outer: Pose, units: Units) -> Mass:
     """Read the mass properties of an `inertial` element.
 
-    Raises SceneFileError.
+    `outer` is the frame of its body, and `units` are the file's conventions for angles. Raises
+    SceneFileError.
     """
     own = read_pose(element, units).within(outer)
     mass = element.number("mass")

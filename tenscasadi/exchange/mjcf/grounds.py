@@ -47,7 +47,11 @@ class Locator(Protocol):
         """Find the node at a point of a rigid piece."""
 
     def find_bar(self, piece: int, rod: RodGeom) -> int | None:
-        """Find the bar that a geom covers with its radius."""
+        """Find the bar that a geom covers with its radius.
+
+        `piece` is the index of the geom's rigid piece, and `rod` its shape. Returns None without
+        such a bar.
+        """
 
     def weigh(self) -> ContactWeights:
         """Compute inverse masses and loads for contact parameters."""
@@ -58,7 +62,7 @@ def read_contacts(
 ) -> tuple[list[Ground], BarContact | None]:
     """Read the grounds and the bar contact of a file.
 
-    Raises SceneFileError.
+    `root` is its root element, and `defaults` are its default attributes. Raises SceneFileError.
     """
     pairs, apart = _read_pairs(root, bodies, defaults)
     return (
@@ -104,7 +108,11 @@ def _read_grounds(
 def _read_bar_contact(
     bodies: Bodies, pairs: Mapping[frozenset[str], Element], locator: Locator
 ) -> BarContact | None:
-    """Read the explicit contact pairs of capsules that cover bars."""
+    """Read the explicit contact pairs of capsules that cover bars.
+
+    `pairs` are the `pair` elements by the names of their two geoms. The result is None without such
+    pairs.
+    """
     bars = {}
     for k, geom in ((k, geom) for k, piece in bodies.moving() for geom in piece.geoms):
         name, bar = geom.element.text("name"), geom.rod and locator.find_bar(k, geom.rod)
@@ -131,7 +139,10 @@ def _read_bar_contact(
 def _read_pairs(
     root: Element, bodies: Bodies, defaults: Defaults
 ) -> tuple[Mapping[frozenset[str], Element], set[int]]:
-    """Read explicit contact pairs, and pieces excluded from world contact."""
+    """Read explicit contact pairs, and pieces excluded from world contact.
+
+    The pairs are XML elements by the names of their two geoms. Pieces are indices.
+    """
     pairs: dict[frozenset[str], Element] = {}
     apart: set[int] = set()
     for section in root.find("contact"):
@@ -185,7 +196,7 @@ def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[Pl
     """Find the possible plane contacts of a geom.
 
     The geom belongs to piece k and has the contact attributes `law`. It covers a bar, or its ends
-    are nodes.
+    are nodes. `locator` finds these.
     """
     if geom.rod is None:
         return []
@@ -198,7 +209,10 @@ def _find_touches(k: int, geom: Geom, law: Element, locator: Locator) -> list[Pl
 
 
 def _build_grounds(plane: Geom, touches: list[PlaneTouch], weights: ContactWeights) -> list[Ground]:
-    """Build the grounds of a plane, one for each contact law."""
+    """Build the grounds of a plane, one for each contact law.
+
+    `touches` are the contacts with the plane, and `weights` the inverse masses and loads of nodes.
+    """
     normal = plane.frame.turn[:, 2]
     height = float(normal @ plane.frame.place)
     covered = {
@@ -248,8 +262,9 @@ def _build_grounds(plane: Geom, touches: list[PlaneTouch], weights: ContactWeigh
 def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dict[str, Any]:
     """Read the contact law for an inverse mass [1/kg].
 
-    A time constant gives a stiffness proportional to the mass, for the `mean` of inverse masses.
-    Raises SceneFileError.
+    The result are keywords of `Ground`. `standing` is the load on one supporting node [N]. A time
+    constant gives a stiffness proportional to the mass, for the `mean` of inverse masses. Raises
+    SceneFileError.
     """
     solref = law.numbers("solref", 2, _DEFAULTS["solref"])
     if solref[0] > 0 >= solref[1]:
@@ -269,7 +284,7 @@ def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dic
 
 
 def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two contact laws agree within 0.01 %."""
+    """Return whether two contact laws, keywords of `Ground`, agree within 0.01 %."""
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

@@ -129,7 +129,7 @@ def import_mjcf(path: FilePath, *, strict: bool = True) -> Scene:
 def _read_settings(root: Element) -> tuple[Element, Element]:
     """Merge the compiler and solver settings of a file.
 
-    Raises SceneFileError.
+    Returns one `compiler` and one `option` element. Raises SceneFileError.
     """
     merged = []
     sections = list(children(root))
@@ -151,7 +151,8 @@ def _read_ties(
 ) -> list[tuple[Element, Side, Side]]:
     """Read the points that equality constraints join.
 
-    Welded pieces are merged. Raises SceneFileError.
+    Each entry has the constraint's element and its two points. `option` contains the solver
+    settings. Welded pieces are merged. Raises SceneFileError.
     """
     found = [
         defaults.apply(child) for section in root.find("equality") for child in children(section)
@@ -323,7 +324,11 @@ class _SceneBuilder:
     def build(
         self, root: Element, defaults: Defaults, option: Element, control: Control | None
     ) -> Scene:
-        """Build the scene."""
+        """Build the scene.
+
+        `root` is the root element of the file, and `option` contains its solver settings. `control`
+        is the control of the strings, None if there is no actuator.
+        """
         structure = self._build_structure()
         gravity = option.numbers("gravity", 3, (0, 0, -9.81))
         if option.text("flag gravity", "enable") != "enable":
@@ -346,7 +351,10 @@ class _SceneBuilder:
 
 
 class _SceneLocator(NamedTuple):
-    """Finder of a scene's nodes and bars by pieces of the file."""
+    """Finder of a scene's nodes and bars by pieces of the file.
+
+    `balls` is whether the tree of bars uses ball joints.
+    """
 
     builder: _SceneBuilder
     scene: Scene

@@ -80,9 +80,10 @@ class PieceEnds:
             self._hang(k, piece)
 
     def _list_anchors(self, k: int, piece: Piece, attached: list[Site]) -> list[Array]:
-        """List the points of a joint that two pieces share.
+        """List the points of the joint between piece `k` and its parent.
 
         A ball joint has one, and a hinge two on its axis, the second at a site if there is one.
+        `attached` are the sites of strings and constraints.
         """
         if piece.axis is None or piece.anchor is None:
             return [] if piece.anchor is None else [piece.anchor]
@@ -98,7 +99,7 @@ class PieceEnds:
         return [start, start + along * axis]
 
     def _extent(self, k: int, start: Array) -> float:
-        """Compute the extent of a rigid piece from a point [m].
+        """Compute the extent of piece `k` from the point `start` [m].
 
         It is the largest distance of its mass and geoms.
         """
@@ -109,7 +110,7 @@ class PieceEnds:
         return max((size for size in sizes if size > self.close), default=0.1)
 
     def _add_point(self, k: int, point: Array) -> None:
-        """Add an endpoint to a piece, unless it has one there."""
+        """Add the endpoint `point` [m] to piece `k`, unless it has one there."""
         if self.find(k, point) is None:
             self.points[k].append(point)
 
@@ -178,14 +179,14 @@ class PieceEnds:
     def node(self, end: Endpoint) -> Endpoint:
         """Return the representative of all endpoints that form one node.
 
-        The argument is one of these endpoints.
+        `end` is one of these endpoints.
         """
         while end in self._same:
             end = self._same[end]
         return end
 
     def _complete(self, k: int, piece: Piece) -> None:
-        """Choose the endpoints of a piece.
+        """Choose the endpoints of piece `k`.
 
         They are the attached points, or the ends of its longest geom if there are fewer than two.
         In an inexact import they are those ends also if there are more, and the attached points
@@ -251,7 +252,10 @@ class PieceEnds:
         return bool(sizes[1] > 1e-3 * sizes[0] > self.close)
 
     def _snap(self, k: int, piece: Piece, ends: Array) -> None:
-        """Move the attached points of a piece to its two ends."""
+        """Move the attached points of piece `k` to its two ends.
+
+        `ends` (2, 3) are their positions [m].
+        """
         away = np.linalg.norm(np.array(self.points[k])[:, None] - ends, axis=2).min(axis=1)
         error = piece.element.error(f"has attached points up to {away.max():.3g} m from its ends")
         piece.element.source.leave_out(error)
@@ -259,7 +263,7 @@ class PieceEnds:
         self._snaps.add(k)
 
     def _hang(self, k: int, piece: Piece) -> None:
-        """Connect a piece to its parent by its joint.
+        """Connect piece `k` to its parent by its joint.
 
         Raises SceneFileError.
         """
@@ -321,9 +325,9 @@ class PieceEnds:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Compute a bar's radius from the transverse inertia (Eq. 19).
+        """Compute a bar's radius [m] from the transverse inertia (Eq. 19).
 
-        The bar has a mass, a length, a direction `axis` and an inertia matrix (3, 3) about its
+        The bar has a mass, a length, a direction `axis` (3,) and an inertia matrix (3, 3) about its
         center. Raises SceneFileError.
         """
         other = np.linalg.svd(axis[None])[2][1:]
@@ -346,9 +350,9 @@ class PieceEnds:
         return exact[0] if exact else radius  # without the rounding error of the square root
 
     def read_body(self, k: int, piece: Piece) -> tuple[Mass, Array]:
-        """Compute the mass properties of a rigid body.
+        """Compute the mass properties of rigid body `k`.
 
-        Point masses on its nodes are separate. Raises SceneFileError.
+        Also returns the point masses on its nodes [kg], which are separate. Raises SceneFileError.
         """
         points = np.array(self.points[k])
         on_nodes, inner = np.zeros(len(points)), []
@@ -369,7 +373,7 @@ class PieceEnds:
         return Mass(total, center, inertia), on_nodes
 
     def read_point(self, k: int, piece: Piece) -> float:
-        """Compute the mass of a point mass.
+        """Compute the mass [kg] of piece `k`, which is a point mass.
 
         Raises SceneFileError.
         """

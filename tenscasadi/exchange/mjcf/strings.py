@@ -74,9 +74,10 @@ class TendonString(NamedTuple):
 
 
 def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[TendonString]:
-    """Read all tendons as strings.
+    """Read all tendons of a file as strings.
 
-    They are in the order of the numbers in their names. Raises SceneFileError.
+    `root` is its root element. The strings are in the order of the numbers in their names. Raises
+    SceneFileError.
     """
     read = [
         _read_tendon(defaults.apply(child), bodies)
@@ -91,7 +92,7 @@ def read_strings(root: Element, defaults: Defaults, bodies: Bodies) -> list[Tend
 def _read_tendon(tendon: Element, bodies: Bodies) -> TendonString | None:
     """Read a spatial tendon; None if it is omitted.
 
-    Raises SceneFileError.
+    `bodies` contain the sites that it connects. Raises SceneFileError.
     """
     limited = tendon.flag("limited")
     if limited or (limited is None and "range" in tendon.attributes):
@@ -118,7 +119,10 @@ def _read_tendon(tendon: Element, bodies: Bodies) -> TendonString | None:
 
 
 def _read_linear(tendon: Element, name: str) -> float:
-    """Read the linear coefficient of a polynomial force law."""
+    """Read the linear coefficient of a polynomial force law.
+
+    `name` is the attribute of the tendon, its stiffness or damping.
+    """
     polynomial = tendon.numbers(name, (1, 2, 3), [0])
     if np.any(polynomial[1:]):
         tendon.leave_out(
@@ -156,7 +160,10 @@ class Servo(NamedTuple):
     start: float = 0.0
 
     def force_density(self, length: float) -> float:
-        """Compute the initial force density [N/m] of a prescribed force."""
+        """Compute the initial force density [N/m] of a prescribed force.
+
+        `length` is the initial length of the tendon [m].
+        """
         return self.start / length if self.control is Tension and length > 0 else self.start
 
 
@@ -169,7 +176,8 @@ def read_control(
 ) -> tuple[Control | None, list[TendonString]]:
     """Read the control, and apply its law to the strings.
 
-    Raises SceneFileError.
+    `root` is the root element of the file. The control is None without actuators. Raises
+    SceneFileError.
     """
     names = {string.name: string for string in strings if string.name}
     actuators = [
@@ -308,7 +316,7 @@ def _read_motor(actuator: Element, string: TendonString, force: float) -> Servo:
     """Read an actuator whose force does not depend on length.
 
     It prescribes the tension of a tendon without a spring. Besides a spring, it has the effect of
-    another rest length.
+    another rest length. `force` is its initial force [N], negative in tension.
     """
     if not string.stiffness and not string.damping:
         return Servo(actuator, Tension, start=-force)
@@ -331,8 +339,8 @@ def _read_dynamics(actuator: Element) -> str:
 def _read_start(root: Element, actuators: list[Element]) -> list[float | None]:
     """Read the initial controls from the first keyframe that has them.
 
-    There is one number for each actuator; None where no keyframe has one. Controls of actuators
-    with activation are their activation states.
+    `root` is the root element of the file. There is one number for each actuator; None where no
+    keyframe has one. Controls of actuators with activation are their activation states.
     """
     keys = [key for section in root.find("keyframe") for key in section.find("key")]
 

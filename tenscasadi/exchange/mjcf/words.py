@@ -112,7 +112,8 @@ class Defaults:
     def apply(self, element: Element, childclass: str = "") -> Element:
         """Add default attributes to an element, and check all attributes.
 
-        The class is its own, that of the enclosing bodies, or the main one. Raises SceneFileError.
+        The class of defaults is the element's own, else `childclass` of the enclosing bodies, else
+        the main one. Raises SceneFileError.
         """
         name = element.text("class") or childclass or self._main
         if name not in self._classes and name != self._main:

@@ -37,7 +37,10 @@ AXIAL = 0.01
 
 
 class SpatialTendon(NamedTuple):
-    """String or cable as a spatial tendon of MuJoCo."""
+    """String or cable as a spatial tendon of MuJoCo.
+
+    `pushes` is whether it carries compression.
+    """
 
     name: str
     path: list[int]  # nodes
@@ -48,7 +51,10 @@ class SpatialTendon(NamedTuple):
     pushes: bool
 
     def control(self, kind: Control) -> float:
-        """Compute the initial control that keeps the rest length."""
+        """Compute the initial control that keeps the rest length.
+
+        Its unit is that of the control `kind`: m, m/s, N/m or N.
+        """
         if isinstance(kind, RestLength):
             return self.rest_length
         if isinstance(kind, RestLengthRate):
@@ -140,7 +146,10 @@ class MjcfWriter:
         self.root = ET.Element("mujoco", model="tenscasadi")
 
     def write(self, step: float, velocities: Array | None) -> ET.Element:
-        """Build the root XML element."""
+        """Build the root XML element.
+
+        `step` is the time step [s], and `velocities` (n, 3) are initial ones of nodes [m/s].
+        """
         V = np.zeros(self.s.nodes.shape) if velocities is None else velocities
         self._options(step)
         world = ET.SubElement(self.root, "worldbody")
@@ -229,7 +238,8 @@ class MjcfWriter:
     def _rigid_bodies(self, world: ET.Element, V: Array) -> None:
         """Add rigid bodies, whose axes are those of the world.
 
-        A body rotates about a pinned node, or about the line through two of them.
+        `V` (n, 3) are the velocities of nodes [m/s]. A body rotates about a pinned node, or about
+        the line through two of them.
         """
         s = self.s
         for k, body in enumerate(s.bodies):
@@ -291,7 +301,8 @@ class MjcfWriter:
     def _node(self, body: ET.Element, node: int, place: Array) -> None:
         """Add a node to the body of its bar.
 
-        Its point mass is in a body that is fixed to that one.
+        `place` (3,) is its position in the body's frame [m]. Its point mass is in a body that is
+        fixed to that one.
         """
         if self.s.node_mass[node] > 0:
             mass = _add(body, "body", name=f"n{node}", pos=place)
@@ -316,7 +327,10 @@ class MjcfWriter:
             )
 
     def _points(self, world: ET.Element, V: Array) -> None:
-        """Add pinned nodes and nodes without bars."""
+        """Add pinned nodes and nodes without bars to the `world` element.
+
+        `V` (n, 3) are the velocities of nodes [m/s].
+        """
         s, held, here = self.s, find_held_directions(self.s), np.zeros(3)
         for node in (node for node in range(len(s.nodes)) if node not in self.owners):
             slides = find_free_directions(held.get(node, NO_DIRECTION))
@@ -445,7 +459,7 @@ def _list_inertia(moments: Array) -> list[float]:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    """Add a child to an XML element.
+    """Add a child with the name `tag` to an XML element, and return it.
 
     Numbers become text that is read back exactly.
     """

@@ -13,7 +13,7 @@ from tenscasadi.util.validate import Array
 
 @dataclass(eq=False)
 class NtrtNode:
-    """Named node of an NTRT structure."""
+    """Named node of an NTRT structure, at the position `at` (3,)."""
 
     name: str
     at: Array
@@ -23,7 +23,7 @@ class NtrtNode:
 class NtrtPair:
     """Pair of NTRT nodes with tags that select its properties.
 
-    `entry` is its place in the file.
+    `ends` are the two nodes. `entry` is its place in the file.
     """
 
     ends: tuple[NtrtNode, NtrtNode]
@@ -33,7 +33,7 @@ class NtrtPair:
 
 @dataclass(eq=False)
 class Assembly:
-    """NTRT structure with its nodes and pairs, and substructures."""
+    """NTRT structure with its nodes and pairs, and substructures (`children`)."""
 
     name: str = ""
     nodes: list[NtrtNode] = field(default_factory=list)
@@ -56,21 +56,28 @@ class Assembly:
         return np.asarray(np.mean([node.at for node in self.all_nodes()], axis=0))
 
     def transform(self, change: Callable[[Array], Array]) -> None:
-        """Apply a transformation to the positions of all nodes."""
+        """Apply a transformation to the positions of all nodes.
+
+        `change` maps a position (3,) to the new one.
+        """
         for node in self.all_nodes():
             node.at = change(node.at)
 
     def child(self, name: str, entry: YamlEntry) -> Assembly:
-        """Find the nearest substructure of this name."""
+        """Find the nearest substructure of this name.
+
+        `entry` is the entry that names it. Raises SceneFileError.
+        """
         for part in self.whole():
             if part is not self and part.name == name:
                 return part
         raise entry.error(f"names the substructure {name!r}: there is none")
 
     def node(self, path: str, entry: YamlEntry) -> NtrtNode:
-        """Find the nearest node of a dotted name.
+        """Find the nearest node of a dotted name `path`.
 
-        The parts before the last are names of substructures. Raises SceneFileError.
+        The parts before the last are names of substructures. `entry` is the entry that names it.
+        Raises SceneFileError.
         """
         *parents, name = path.split(".")
         part = self
@@ -107,7 +114,7 @@ def rotate_between(a: Array, b: Array, fallback: Array) -> Array:
 
 
 def place_children(parent: Assembly, groups: list[tuple[list[str], dict[str, YamlEntry]]]) -> None:
-    """Rotate, scale and translate substructures, in NTRT's order.
+    """Rotate, scale and translate substructures of `parent`, in NTRT's order.
 
     A group is a list of names and the attributes that they share.
     """
@@ -154,9 +161,10 @@ def bond_edges(
 ) -> None:
     """Bond nodes of one substructure to edges of the other.
 
-    The second substructure is moved so that the nodes meet the midpoints of the edges. Each string
-    of an edge "a/b" is replaced by two, from a to the node and from the node to b. Strings between
-    the nodes are removed.
+    `names` are those of the two substructures in `parent`, and `pairs` the entries of a node and an
+    edge. The second substructure is moved so that the nodes meet the midpoints of the edges. Each
+    string of an edge "a/b" is replaced by two, from a to the node and from the node to b. They have
+    the `tags`. Strings between the nodes are removed. `is_rod` tells rods from strings.
     """
     parts = [parent.child(name, pairs) for name in names]
     joints, edges, places = [], [], []
@@ -200,7 +208,9 @@ def bond_edges(
 def _meet(moved: Assembly, places: Array, entry: YamlEntry) -> None:
     """Move a substructure so that its points coincide with given ones.
 
-    Their planes are aligned first, then the first points about the normal.
+    `places` (2, k, 3) are the given points, then those of the substructure. Their planes are
+    aligned first, then the first points about the normal. `entry` is the file's entry of the bond,
+    for messages.
     """
     middles = places.mean(axis=1)
     normals = np.cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])

@@ -63,7 +63,10 @@ def find_body_rods(nodes: Array, wanted: MassProperties) -> tuple[Array, list[Ro
 
 
 def _find_cross(wanted: MassProperties) -> Array:
-    """Find the ends (up to 6, 3) of crossed rods with given moments."""
+    """Find the ends (up to 6, 3) of crossed rods with given moments.
+
+    `wanted` are the mass properties of the rods together.
+    """
     values, axes = np.linalg.eigh(wanted.moments)
     some = values > NEGLIGIBLE * values.max()
     arms = np.sqrt(3 * some.sum() * values[some] / wanted.mass)[:, None] * axes.T[some]
@@ -83,7 +86,10 @@ def _moments(own: MassProperties, wanted: MassProperties, size: float) -> Array:
 
 
 def _join_nodes(points: Array, rods: list[Rod]) -> list[Rod]:
-    """Find massless rods that connect otherwise separate nodes."""
+    """Find massless rods that connect otherwise separate nodes.
+
+    `points` (n, 3) are the nodes [m], and `rods` the known rods.
+    """
     ends = np.array([rod.nodes for rod in rods], dtype=np.intp).reshape(-1, 2)
     links = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(points), len(points)))
     first = np.unique(connected_components(links, directed=False)[1], return_index=True)[1]

@@ -103,9 +103,10 @@ def load_ntrt(
 
 @dataclass
 class _NtrtReader:
-    """State of an NTRT import: builders, parsed files, number of items.
+    """State of an NTRT import.
 
-    Later builders take precedence.
+    `builders` define the properties of members, and later ones take precedence. `folder` contains
+    all files, `trees` the parsed ones, and `count` is the number of items.
     """
 
     source: Source
@@ -115,7 +116,7 @@ class _NtrtReader:
     count: int = 0
 
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> Assembly:
-        """Read an NTRT file and its substructures.
+        """Read an NTRT file `path` and its substructures.
 
         `name` is that of the structure. The files `above` include this one, directly or indirectly.
         Raises SceneFileError.
@@ -150,9 +151,10 @@ class _NtrtReader:
     def _read_substructures(
         self, whole: Assembly, entry: YamlEntry, above: tuple[Path, ...]
     ) -> None:
-        """Read the substructures of a structure.
+        """Read the substructures of the structure `whole` from their entry.
 
-        Keys without a path change the substructures of other keys.
+        Keys without a path change the substructures of other keys. The files `above` include this
+        one, directly or indirectly.
         """
         groups = [
             (
@@ -172,9 +174,9 @@ class _NtrtReader:
         place_children(whole, groups)
 
     def _resolve(self, entry: YamlEntry, above: tuple[Path, ...]) -> Path:
-        """Resolve the path of a substructure's file.
+        """Resolve the path of a substructure's file, an entry of text.
 
-        It must lie in the folder and must not contain itself.
+        It must lie in the folder. It must be none of the files `above`, which include it.
         """
         path = entry.path.parent / entry.word()
         whole = path.resolve()
@@ -191,7 +193,7 @@ class _NtrtReader:
         return path
 
     def _read_bonds(self, whole: Assembly, entry: YamlEntry) -> None:
-        """Read the bonds between substructures.
+        """Read the bonds between substructures of `whole` from their entry.
 
         Bonds are nested in tags, or tags in bonds. A key with a slash is a bond, such as
         "leg/foot/node_node".

@@ -42,7 +42,8 @@ _POSITIVE = ("radius", "stiffness", "width", "height")
 class TagBuilder:
     """Properties of tagged rods, boxes or strings, in NTRT's units.
 
-    A class that is not imported has none.
+    `tags` select the members, and `values` are the properties by NTRT's names. A class that is not
+    imported has no values.
     """
 
     tags: frozenset[str]
@@ -64,7 +65,7 @@ DEFAULT_BUILDERS = (
 def read_builder(tags: str, entry: YamlEntry) -> TagBuilder:
     """Read class and parameters of an NTRT builder.
 
-    Raises SceneFileError.
+    `tags`, separated by spaces, select its members. Raises SceneFileError.
     """
     own = frozenset(tags.split())
     given = dict(entry.items("class", "parameters"))
@@ -169,7 +170,8 @@ class StructureBuilder:
     def _read_parts(self, nodes: Array, unit: float) -> list[RigidPart]:
         """Read rods and boxes.
 
-        Repeated ones that are not welded are omitted.
+        `nodes` (n, 3) are in m, and `unit` is NTRT's unit of length in m. Repeated ones that are
+        not welded are omitted.
         """
         found: list[RigidPart] = []
         known = set[frozenset[int]]()
@@ -208,7 +210,10 @@ class StructureBuilder:
         return a, b
 
     def _rest_lengths(self, lines: Indices, strings: dict[str, Array]) -> Array:
-        """Compute rest lengths, in the unit of the file, from pretensions."""
+        """Compute rest lengths, in the unit of the file, from pretensions.
+
+        `lines` (k, 2) are the strings' nodes, and `strings` their properties (k,) by name.
+        """
         spans = distances(self.places, lines)
         rest = spans - strings["pretension"] / strings["stiffness"]
         for k in np.flatnonzero(rest <= 0):
@@ -223,7 +228,10 @@ class StructureBuilder:
         return np.asarray(rest)
 
     def _check_joints(self, parts: list[RigidPart], strings: Indices) -> None:
-        """Reject strings without rods, and report joints that NTRT welds."""
+        """Reject strings without rods, and report joints that NTRT welds.
+
+        `parts` are the rods and boxes, and `strings` (k, 2) the strings' nodes.
+        """
         names: dict[int, list[str]] = {}
         for node in self.nodes:
             names.setdefault(self.index[id(node)], []).append(node.name)

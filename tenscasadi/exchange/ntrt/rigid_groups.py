@@ -89,7 +89,7 @@ def group_parts(parts: list[RigidPart], welded: bool) -> list[list[RigidPart]]:
 def combine_mass(parts: list[RigidPart]) -> MassProperties:
     """Combine the masses of rods and boxes that form one rigid body.
 
-    If all lie on one line, the result is a thin rod of the same inertia across it.
+    If all `parts` lie on one line, the result is a thin rod of the same inertia across it.
     """
     own = [part.mass_properties() for part in parts]
     mass = sum(each.mass for each in own)

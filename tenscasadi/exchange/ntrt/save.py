@@ -119,7 +119,11 @@ class _NtrtWriter:
             self._note("cable", np.flatnonzero(s.cable_friction), "without friction")
 
     def _note(self, kind: str, items: Iterable[Any], change: str) -> None:
-        """Report a change of some nodes or members."""
+        """Report a change of some nodes or members.
+
+        `kind` is "node", "bar" or the like, and `items` are their numbers. `change` describes the
+        change.
+        """
         numbers = [str(item) for item in items]
         if numbers:
             more = f" and {len(numbers) - 5} more" * (len(numbers) > 5)

@@ -24,7 +24,8 @@ LARGEST_ENTRY = LARGEST**0.25  # a mass is a product of four numbers
 class YamlEntry:
     """Mapping, list or scalar of a YAML file.
 
-    Its methods raise SceneFileError, which names file, line and key.
+    `value` contains its entries or text, and `path` is the file. `source` is the import that it
+    belongs to. Its methods raise SceneFileError, which names file, line and key.
     """
 
     source: Source
@@ -34,13 +35,13 @@ class YamlEntry:
     value: dict[str, YamlEntry] | list[YamlEntry] | str
 
     def error(self, text: str) -> SceneFileError:
-        """Build the error that names this place."""
+        """Build an error with the message `text` that names file, line and key."""
         return SceneFileError(text, _name(self.source, self.path), self.line, self.key)
 
     def leave_out(self, text: str) -> None:
         """Omit this entry from the import.
 
-        Raises SceneFileError if the import is strict.
+        `text` is the reason. Raises SceneFileError if the import is strict.
         """
         self.source.leave_out(self.error(text))
 
@@ -60,7 +61,7 @@ class YamlEntry:
                 yield key, entry
 
     def parts(self, count: int | None = None) -> list[YamlEntry]:
-        """Return the entries of a list, of a given length.
+        """Return the entries of a list, which must be `count` if given.
 
         An empty entry has none.
         """
@@ -100,9 +101,10 @@ class YamlEntry:
 
 
 def read_tree(source: Source, path: Path) -> YamlEntry:
-    """Read the root of a YAML file.
+    """Read the root of the YAML file `path`.
 
-    Raises ImportError, FileNotFoundError, SceneFileError.
+    `source` is the import that it belongs to. Raises ImportError, FileNotFoundError,
+    SceneFileError.
     """
     try:
         import yaml
@@ -137,7 +139,7 @@ def read_tree(source: Source, path: Path) -> YamlEntry:
 
 
 def _name(source: Source, path: Path) -> str:
-    """Name a file relative to the folder of the main one."""
+    """Return the path of a file relative to the folder of the main one."""
     return os.path.relpath(path, source.path.parent)
 
 
@@ -160,9 +162,10 @@ def _count(node: Any, known: dict[int, int]) -> int:
 
 
 def _build_entry(source: Source, path: Path, key: str, node: Any) -> YamlEntry:
-    """Build the entries of a node and its descendants.
+    """Build the entries of a parsed YAML node and its descendants.
 
-    Raises SceneFileError if a key is repeated or is not text.
+    The node has the key `key` in the file `path`. Raises SceneFileError if a key is repeated or is
+    not text.
     """
     found = YamlEntry(source, path, node.start_mark.line + 1, key, "")
     if isinstance(node.value, str):

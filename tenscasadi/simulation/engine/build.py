@@ -168,7 +168,7 @@ def _build(model: Model, options: _Options) -> Kernel:
 
 
 def check_single(scheme: Scheme) -> None:
-    """Check that tolerances are possible in single precision.
+    """Check that a scheme's tolerances are possible in single precision.
 
     Raises ValueError otherwise.
     """

@@ -68,7 +68,7 @@ class Before(NamedTuple):
     jumped: Array
 
     def select(self, which: Any) -> Before:
-        """Select some of the steps."""
+        """Select some of the steps by an index array or a mask."""
         return Before(*(one[which] for one in self))
 
 
@@ -126,7 +126,8 @@ class Interpreted:
     def take(self, loop: Loop, lengths: Array, w: Array) -> StepRows:
         """Advance the runs by at least one of the next steps.
 
-        The steps have `lengths` (k,) [s] and inputs w (k, n, nw).
+        The steps have `lengths` (k,) [s] and inputs w (k, n, nw). `loop` contains the current
+        states.
         """
         if self.has("attempt"):
             code = self._control_error(loop, float(lengths[0]))
@@ -146,8 +147,8 @@ class Interpreted:
     def _control_error(self, loop: Loop, length: float) -> int:
         """Take steps with error control up to the next output time.
 
-        It is `length` seconds away. A failure leaves z at the last output time. Returns the code of
-        the failure.
+        It is `length` seconds away. A failure leaves the state z of `loop` at the last output time.
+        Returns the code of the failure.
         """
         q, z, memory = loop.q, loop.z, loop.memory
         memory[0, _REST] = length
@@ -409,7 +410,7 @@ class Loop:
     def weigh(self, z: Array) -> None:
         """Update the largest errors and energies within a time step.
 
-        The states (n, nz) are those of substeps.
+        `z` (n, nz) are the states of the runs after a substep.
         """
         if self.measures:
             now = Before(z[None], self.w[None], self.jumped[None])

@@ -75,7 +75,7 @@ class SchemeNumbers(NamedTuple):
 
 
 class _KernelArrays(NamedTuple):
-    """Input and result arrays of n runs, with their time intervals.
+    """Input and result arrays (`values`) of n runs, with their time intervals.
 
     The names of arrays are those of `engine.hpp`.
     """
@@ -86,7 +86,7 @@ class _KernelArrays(NamedTuple):
 
 
 class _Threads(NamedTuple):
-    """Pool of threads, and their number."""
+    """Pool of threads, with their number `size`."""
 
     pool: ThreadPoolExecutor
     size: int
@@ -94,7 +94,10 @@ class _Threads(NamedTuple):
 
 @contextlib.contextmanager
 def _start_threads(count: int, always: bool = False) -> Iterator[_Threads | None]:
-    """Start a pool of threads if there are several, or `always`."""
+    """Start a pool of `count` threads if there are several, or `always`.
+
+    Without a pool, it yields None.
+    """
     if count == 1 and not always:
         yield None
         return
@@ -307,7 +310,8 @@ class Kernel:
     ) -> None:
         """Advance a range of runs by a range of steps.
 
-        Both ranges exclude their end. Without `threads`, one run follows the other.
+        `work` contains their arrays. Both ranges exclude their end. Without `threads`, one run
+        follows the other.
         """
         began, backend, (first, last) = time.perf_counter(), self.backend, runs
         given = _select(work, steps)
@@ -428,7 +432,7 @@ class _March:
 
 
 def _select(work: _KernelArrays, steps: tuple[int, int]) -> dict[str, Any]:
-    """Select the part of the arrays for a range of steps.
+    """Select the part of the arrays `work` for a range of steps.
 
     `steps` are its first step and its end.
     """
@@ -475,7 +479,8 @@ def _select_feedback(
 ) -> dict[str, Any]:
     """Select the feedback updates of a range of steps.
 
-    A range that begins within an interval continues with the control of that interval.
+    `values` are all arrays by name. A range that begins within an interval continues with the
+    control of that interval.
     """
     ends = np.cumsum(intervals.steps)
     begins = ends - intervals.steps

@@ -144,7 +144,7 @@ def _address(library: ctypes.CDLL, name: str) -> int | None:
 
 
 class Compilation:
-    """Compilation in a thread of its own, one at a time.
+    """Compilation in a thread of its own, one at a time (`_running`).
 
     `found` contains the backend, or the reason if compilation failed.
     """

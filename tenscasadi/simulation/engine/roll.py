@@ -26,10 +26,12 @@ COMPARED = 64  # least number of compared rows
 class Request(NamedTuple):
     """Inputs and options of runs.
 
-    Every `every`-th step is saved. `measured` selects the errors and energies of saved rows, and
-    `account` the energies to integrate. The `deadline` is a time of `time.monotonic`, `time_limit`
-    seconds after the call. With `compare`, copies of a run take longer steps in unused lanes where
-    the code has them.
+    The `correction` restores constraints between steps of the `scheme`. Every `every`-th step is
+    saved. `measured` selects the errors and energies of saved rows, and `account` the energies to
+    integrate. `compiled` is whether machine code is required, with None for a choice. It uses
+    `lanes` of SIMD registers and several `threads`. The `deadline` is a time of `time.monotonic`,
+    `time_limit` seconds after the call. With `compare`, copies of a run take longer steps in unused
+    lanes where the code has them.
     """
 
     inputs: RunInputs
@@ -71,7 +73,7 @@ class Request(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Result of computed runs, with their request.
+    """Result `rolled` of computed runs, with their request.
 
     `kernel` has computed it in `seconds` of wall time. `late` means that the deadline stopped it.
     """
@@ -164,7 +166,7 @@ def roll(request: Request, progress: bool = False) -> Runs:
 
 
 def _check_memory(request: Request) -> None:
-    """Check that the saved rows fit into memory.
+    """Check that the saved rows of a request fit into memory.
 
     Raises ValueError.
     """
@@ -211,7 +213,7 @@ def make_kernel(request: Request) -> Kernel:
 
 
 def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
-    """Collect the arrays of state feedback, if there is any.
+    """Collect the arrays of state feedback, if `inputs` have any.
 
     Their names are those of `engine.hpp`. After the end of the plan, the last gain acts on
     deviations from the last state.

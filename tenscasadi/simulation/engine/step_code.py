@@ -75,8 +75,8 @@ _WIDEST = """
 class KernelFunctions(NamedTuple):
     """CasADi Functions and sizes of a model for `engine.hpp`.
 
-    With a Runge-Kutta `tableau` the loop evaluates the stages of "ode" itself. Otherwise it calls a
-    Function "step".
+    `functions` are named as in the time loop. With a Runge-Kutta `tableau` the loop evaluates the
+    stages of "ode" itself. Otherwise it calls a Function "step".
     """
 
     functions: dict[str, ca.Function]
@@ -109,6 +109,7 @@ def write_program(
 ) -> KernelFunctions:
     """Build the CasADi Functions that a time loop calls.
 
+    `account` are the energies to integrate, and `measured` selects the errors of saved rows.
     `costs` are the running and the terminal cost.
     """
     power = (
@@ -138,7 +139,10 @@ def write_program(
 
 
 def write_observer(model: Model, account: Account, measured: Measured) -> KernelFunctions:
-    """Build the Functions that measure errors of SUNDIALS runs."""
+    """Build the Functions that measure errors of SUNDIALS runs.
+
+    `account` are the energies to integrate, and `measured` selects the errors of saved rows.
+    """
     functions = _observing(model, account, measured)
     sizes = dict.fromkeys(_OWN, 0) | {"nx": model.nx, "nu": model.nu, "nw": model.nw}
     sizes |= {"work": int(account.power and model.power is not None), "jumps": int(account.jumps)}
@@ -247,7 +251,7 @@ def _rename(name: str, function: ca.Function) -> ca.Function:
 
 
 def room_sizes(program: KernelFunctions) -> dict[str, int]:
-    """Return the sizes of the Functions' work arrays."""
+    """Return the sizes of the work arrays of a program's Functions."""
     functions = program.functions.values()
     return {
         "size_arg": max(10, *(f.sz_arg() for f in functions)),  # `decide` has 10 inputs
@@ -258,7 +262,10 @@ def room_sizes(program: KernelFunctions) -> dict[str, int]:
 
 
 def write_model(program: KernelFunctions, single: bool = False) -> str:
-    """Generate the C code of the Functions."""
+    """Generate the C code of a program's Functions.
+
+    With `single` it uses single precision.
+    """
     options: dict[str, Any] = {"with_header": False, "verbose": False}
     options |= {"casadi_real": "float"} if single else {}
     generator = ca.CodeGenerator("motion.c", options)
@@ -268,7 +275,7 @@ def write_model(program: KernelFunctions, single: bool = False) -> str:
 
 
 def write_lane_model(program: KernelFunctions, lanes: int) -> str:
-    """Generate C++ code that evaluates the Functions for several runs.
+    """Generate C++ code that evaluates a program's Functions for several runs.
 
     Each of the `lanes` of a SIMD register holds one run.
     """
@@ -277,16 +284,17 @@ def write_lane_model(program: KernelFunctions, lanes: int) -> str:
 
 
 def write_engine(program: KernelFunctions, single: bool = False, lanes: int = 1) -> str:
-    """Generate the C++ time loop for Functions in another library.
+    """Generate the C++ time loop for a program's Functions in another library.
 
-    It is used for all models with this Runge-Kutta tableau.
+    It is used for all models with this Runge-Kutta tableau. With `single` it uses single precision.
+    Each step advances as many runs as `lanes`.
     """
     head = ["#define SINGLE"] if single else []
     return "\n".join([*head, f"#define LANES {lanes}", _text("lanes.hpp"), *_engine(program)])
 
 
 def write_lanes(program: KernelFunctions, lanes: int | None, single: bool = False) -> str:
-    """Generate C++ code of model and time loop for several SIMD lanes.
+    """Generate C++ code of a program and its time loop for several SIMD lanes.
 
     With `lanes` None, their number fills the processor's registers; `single` uses single precision.
     """
@@ -324,7 +332,7 @@ _SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) retu
 
 
 def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
-    """Write C++ code for the stages of a Runge-Kutta step.
+    """Write C++ code for the stages of a step with a Runge-Kutta tableau.
 
     `stages` are the numbers of those that affect the result. `held` is the C++ expression of the
     inputs, and `end` the last line. Each stage takes one pass over the state; CasADi would take one
@@ -344,7 +352,7 @@ def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  r
 
 
 def _write_trial(tableau: Tableau) -> str:
-    """Write C++ code for a Runge-Kutta step with error estimates.
+    """Write C++ code for a step with error estimates by a Runge-Kutta tableau.
 
     It corresponds to `runge_kutta.build_trial`.
     """
@@ -388,7 +396,7 @@ def _pass(target: str, weights: tuple[float, ...], base: str = "x[i]") -> str:
 
 
 def _replace_branches(source: str) -> str:
-    """Replace conditional expressions in C code by SIMD selections.
+    """Replace conditional expressions in C `source` code by SIMD selections.
 
     C++ code for SIMD vectors does not compile with other branches.
     """
@@ -399,7 +407,7 @@ def _replace_branches(source: str) -> str:
 
 
 def _tables_lane_by_lane(source: str) -> str:
-    """Evaluate look-up tables separately for each SIMD lane.
+    """Make C `source` code evaluate look-up tables one SIMD lane at a time.
 
     CasADi's code for tables branches on numbers, so it works on one double at a time.
     """

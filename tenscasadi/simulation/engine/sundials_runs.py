@@ -96,7 +96,10 @@ class SundialsRuns(Interpreted):
             raise Stopped
 
     def take(self, loop: Loop, lengths: Array, w: Array) -> StepRows:
-        """Take at least one of the next steps, which have one input and length [s]."""
+        """Advance the run by at least one of the next steps.
+
+        All steps have the same `lengths` [s] and inputs `w`. `loop` contains the current state.
+        """
         length, count = float(lengths[0]), min(len(lengths), self.chunk - loop.step % self.chunk)
         try:
             rows = self._take(loop.z[0], w[0, 0], length, count)

@@ -27,13 +27,13 @@ class Changing(Protocol):
         """Name of the quantity in messages."""
 
     def check_run(self, first: float, last: float) -> None:
-        """Check the function between two times [s].
+        """Check the function between the times `first` and `last` [s].
 
         Raises ValueError.
         """
 
     def find_breakpoints(self, first: float, last: float) -> Array:
-        """Find the times of jumps and kinks [s]."""
+        """Find the times of jumps and kinks from `first` to `last` [s]."""
 
     def changing(self) -> ca.Function | None:
         """Build the function of time that steps must resolve, or None.
@@ -185,9 +185,9 @@ def build_grid(
 
 
 def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
-    """Add breakpoints to the ends of intervals.
+    """Add breakpoints `cuts` to the end times `edges` of intervals [s].
 
-    Breakpoints that equal other ends within rounding error are omitted.
+    Breakpoints that equal other ends within the rounding error `error` are omitted.
     """
     t_end = float(edges[-1])
     inner = cuts[(cuts > 0) & (cuts < t_end)]
@@ -199,10 +199,10 @@ def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
 
 
 def _find_cuts(part: Changing, first: float, last: float, error: float) -> Array:
-    """Find the times at which steps must end.
+    """Find the times of a function at which steps must end [s].
 
-    Each jump lies within a very short step of its own, so that no Runge-Kutta stage evaluates it.
-    `error` is the rounding error of the clock [s].
+    They lie between `first` and `last` [s]. Each jump lies within a very short step of its own, so
+    that no Runge-Kutta stage evaluates it. `error` is the rounding error of the clock [s].
     """
     times, function = part.find_breakpoints(first, last), part.changing()
     if function is None or not len(times):

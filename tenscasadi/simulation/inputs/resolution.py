@@ -106,7 +106,7 @@ def _compare_quadratures(
 
 
 def _lobatto(count: int) -> tuple[Array, Array]:
-    """Compute points in [0, 1] and weights of Gauss-Lobatto quadrature."""
+    """Compute points (count,) in [0, 1] and weights of Gauss-Lobatto quadrature."""
     inner = np.polynomial.legendre.Legendre.basis(count - 1).deriv().roots()
     places = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
     at = np.polynomial.legendre.Legendre.basis(count - 1)(places)

@@ -99,9 +99,9 @@ class RunInputs(NamedTuple):
         ]
 
     def add_schedule(self, w: Array, time: Array) -> Array:
-        """Add a control that is a function of time to inputs (T, nw).
+        """Add a control that is a function of time to inputs w (T, nw).
 
-        `time` is the time since the start [s].
+        `time` (T,) is the time since the start [s].
         """
         schedule = self.model.schedule
         if schedule is None:
@@ -142,9 +142,10 @@ def read_inputs(
     parameters: Any,
     many: bool,
 ) -> RunInputs:
-    """Read the inputs of runs, `many` or one.
+    """Read the inputs of a batch of runs (`many`), or of one run.
 
-    Messages name the arguments of `rollouts` or of `simulate`. Raises TypeError, ValueError.
+    Arguments are those of `rollouts` or `simulate`, which messages name. Raises TypeError,
+    ValueError.
     """
     end = positive_number("t_end", t_end)
     p = _read_parameters(model, parameters) if many else model.parameters.values(parameters)[None]
@@ -181,10 +182,11 @@ def read_inputs(
 
 
 def choose_step(model: Model, scheme: Scheme, state: Array, p: Array, t_end: float) -> float:
-    """Choose the default step [s].
+    """Choose the default step [s] from the initial state (nx,).
 
     It is a hundredth of the run for schemes with error control. Otherwise it is 1 ms, or less if
-    stability or ground contact requires a smaller step.
+    stability or ground contact requires a smaller step. `p` (np,) are the parameters, and `t_end`
+    is the end of the run [s].
     """
     if scheme.adaptive:
         return t_end / 100
@@ -193,9 +195,10 @@ def choose_step(model: Model, scheme: Scheme, state: Array, p: Array, t_end: flo
 
 
 def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
-    """Read the initial states (n or 1, nx).
+    """Read the initial states (n or 1, nx) of a batch (`many`), or of one run.
 
-    A state of a batch that is not finite makes only its own run fail.
+    None selects the model's initial state with the parameters `p` (n or 1, np). A state of a batch
+    that is not finite makes only its own run fail.
     """
     if not many:
         if states is None:
@@ -228,7 +231,10 @@ def _stack_rows(rows: list[Array], size: int) -> Array:
 
 
 def _read_parameters(model: Model, given: Any) -> Array:
-    """Read the parameters (n or 1, np) of a batch."""
+    """Read the parameters (n or 1, np) of a batch.
+
+    `given` is an array, or a mapping from names to values.
+    """
     layout = model.parameters
     if isinstance(given, Mapping):
         tables = {name: value for name, value in given.items() if nesting(value) >= 2}

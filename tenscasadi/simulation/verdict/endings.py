@@ -154,7 +154,8 @@ def sample_run(runs: Runs, k: int) -> RunSamples:
 def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples) -> str:
     """Explain the cause of a divergence, with a cure.
 
-    Causes are found from the initial state and the linearized dynamics.
+    `samples` are states and inputs of the run, which had the time `step` [s]. Causes are found from
+    the initial state and the linearized dynamics.
     """
     name = type(scheme).__name__
     violation = constraint_violation(model, samples.states[0])
@@ -180,7 +181,7 @@ def explain_loss(model: Model, scheme: Scheme, step: float, samples: RunSamples)
 def find_stable_step(
     model: Model, scheme: Scheme, samples: RunSamples, step: float = 0.0
 ) -> tuple[float, float]:
-    """Find the smallest stability limit of the step along a run [s].
+    """Find a scheme's smallest stability limit of the step along a run [s].
 
     `samples` are states and inputs of the run. Also returns the time of this limit [s]. Samples
     after the first one with a limit below `step` are not examined.

@@ -125,7 +125,7 @@ class Measures(NamedTuple):
 
 
 def find_doubts(measures: Measures) -> Doubts:
-    """Compare the errors of runs with the thresholds."""
+    """Compare the errors of runs (`measures`) with the thresholds."""
     start, bars, error, moved = measures
     work = start > THRESHOLDS["start"].reported  # by constraints that are violated
     lost = np.where(work, 0.0, error / np.maximum(moved, 1e-300))
@@ -204,7 +204,7 @@ def _rounding_energy(model: Model, size: Any, t_end: float, single: bool = False
 
 
 def _check_errors(runs: Runs, found: StepErrors) -> tuple[Doubts, Array]:
-    """Compare the step-size errors with the thresholds.
+    """Compare the step-size errors `found` of runs with the thresholds.
 
     The text gives the cause and the cure of the largest error. Also returns the refinement factors
     (n,) of the steps that would be sufficient.

@@ -169,7 +169,7 @@ class _Repetition:
         self.rounding = request.rounding
 
     def select(self, places: Indices) -> _Repetition:
-        """Select runs by their indices in this set of repeated runs."""
+        """Select runs by their indices `places` in this set of repeated runs."""
         chosen = _Repetition(self._runs, self._which[places])
         chosen._stopped = self._stopped
         return chosen
