@@ -118,7 +118,7 @@ def scaled_triangle(matrix: Array) -> Array:
 def unscaled_matrix(entries: Array) -> Array:
     """Build the symmetric matrix from its scaled upper triangle.
 
-    It is the inverse of `scaled_triangle`.
+    `entries` are those of `scaled_triangle`, of which it is the inverse.
     """
     count = _order(len(entries))
     matrix = np.zeros((count, count))

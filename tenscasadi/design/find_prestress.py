@@ -229,7 +229,7 @@ class _PrestressSearch:
         return self.settle(goal)
 
     def settle(self, goal: PrestressGoal) -> PrestressDesign:
-        """Iterate until prestress and response to the loads agree.
+        """Solve for a goal until prestress and response to the loads agree.
 
         The responses of a degenerate program jump with its solutions. Aitken's relaxation makes
         them converge.
@@ -302,7 +302,7 @@ class _PrestressSearch:
         return PrestressProgram(self.tangent, self.basis, T, equal, below, self.scale)
 
     def explain(self, status: str) -> str:
-        """Explain why a program has no solution."""
+        """Explain why a program has no solution, from the solver's status."""
         if status == "unbounded":
             return "the least stiffness grows with the prestress without limit: give a maximum"
         if status == "infeasible" and not len(self_stress(self.tangent.structure)):
@@ -315,7 +315,7 @@ class _PrestressSearch:
         return f"the solver did not converge: {cure}"
 
     def fail(self, message: str) -> PrestressDesign:
-        """Build an unsuccessful result without prestress."""
+        """Build an unsuccessful result without prestress, with a message."""
         structure = self.tangent.structure
         strings, bars = np.zeros(len(structure.strings)), np.zeros(len(structure.bars))
         return PrestressDesign(strings, bars, strings, structure, False, message, np.zeros(0))
@@ -356,7 +356,8 @@ class _PrestressSearch:
 def read_load_cases(load_cases: Any, structure: Structure) -> Array:
     """Read load cases as an array (cases, n, 3) [N].
 
-    Raises TypeError, ValueError.
+    `load_cases` is a list of arrays, or of mappings from nodes to forces. Raises TypeError,
+    ValueError.
     """
     entries = as_tuple("load_cases", load_cases, "[loads], with loads of shape (n, 3)")
     cases = [read_loads(f"load_cases[{k}]", case, structure) for k, case in enumerate(entries)]
@@ -364,9 +365,9 @@ def read_load_cases(load_cases: Any, structure: Structure) -> Array:
 
 
 def _read_maximum(maximum: ArrayLike, least: Array) -> Array:
-    """Read the upper limits of tensions (α,).
+    """Read the upper limits of tensions (α,) [N].
 
-    Raises TypeError, ValueError.
+    They are at least the lower limits `least` (α,) [N]. Raises TypeError, ValueError.
     """
     most = nonnegative("maximum", per_item("maximum", maximum, len(least)), "string")
     for i in np.flatnonzero(most < least):

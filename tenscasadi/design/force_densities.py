@@ -36,7 +36,10 @@ class ForceDensities(NamedTuple):
     lower: Array
 
     def of(self, p: Array) -> Array:
-        """Compute the force densities of all members [N/m]."""
+        """Compute the force densities of all members [N/m].
+
+        `p` (u,) are the unknown ones, one for each column of the basis.
+        """
         return np.asarray(self.given + self.basis @ p)
 
     @property
@@ -52,10 +55,10 @@ class ForceDensities(NamedTuple):
 
 
 def read_force_densities(structure: Structure, given: Any, groups: Groups | None) -> ForceDensities:
-    """Read the given force densities of strings (α,).
+    """Read the given force densities of strings (α,) [N/m].
 
-    NaN marks an unknown force density. Those of bars are always unknown. Raises TypeError,
-    ValueError.
+    NaN marks an unknown force density. Those of bars are always unknown. Members in one of the
+    `groups` have equal force densities. Raises TypeError, ValueError.
     """
     strings = len(structure.strings)
     members = strings + len(structure.bars)
@@ -107,7 +110,8 @@ def read_basis(structure: Structure, groups: Groups | None) -> Any:
 def _share_values(label: Indices, values: Array) -> Array:
     """Assign the known value of a group to all its members.
 
-    NaN marks an unknown value. Raises ValueError.
+    `label` (members,) is the group of each member. NaN in `values` (members,) marks an unknown
+    value. Raises ValueError.
     """
     known = np.flatnonzero(~np.isnan(values))
     least, most = np.full((2, label.max(initial=-1) + 1), np.nan)
@@ -124,7 +128,8 @@ def _share_values(label: Indices, values: Array) -> Array:
 def read_groups(groups: Groups | None, names: Names) -> Indices:
     """Read groups of members as labels (members,).
 
-    Members without a group have labels of their own. Raises TypeError, ValueError.
+    `names` resolve members that are given by name. Members without a group have labels of their
+    own. Raises TypeError, ValueError.
     """
     strings = names.counts["string"]
     label = np.full(names.counts["member"], -1)
@@ -147,7 +152,7 @@ def read_groups(groups: Groups | None, names: Names) -> Indices:
 
 
 def _read_values(given: Any, count: int) -> Array:
-    """Read numbers (count,), or one for all; NaN is allowed."""
+    """Read force densities (count,), or one for all; NaN is allowed."""
     values = real_array("force_density", given, f"an array of shape ({count},)")
     if values.ndim and values.shape != (count,):
         raise ValueError(
@@ -164,8 +169,8 @@ def _read_values(given: Any, count: int) -> Array:
 def set_prestress(structure: Structure, gamma: Array, lam: Array) -> Structure:
     """Set rest lengths so that members have given force densities.
 
-    They are γ (α,) of strings and λ (β,) of bars, positive in compression. Members whose stiffness
-    does not exceed their force density remain unstressed.
+    They are γ (α,) of strings (`gamma`) and λ (β,) of bars (`lam`), positive in compression [N/m].
+    Members whose stiffness does not exceed their force density remain unstressed.
     """
     strings = (gamma > 0.0) & (gamma < structure.stiffness)
     stretch = np.divide(gamma, structure.stiffness, out=np.zeros_like(gamma), where=strings)

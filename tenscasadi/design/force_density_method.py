@@ -40,7 +40,8 @@ _PULL = 1e-3  # weight of equal force densities in the estimate, relative to tha
 def solve_form(structure: Structure, q: Array, loads: Array) -> Array | None:
     """Compute the nodes (n, 3) in equilibrium for given force densities.
 
-    The loads are (n, 3). Returns None if supports and force densities do not determine the nodes.
+    `q` (α + β,) are the force densities [N/m], and the loads are (n, 3) [N]. Returns None if
+    supports and force densities do not determine the nodes.
     """
     free = free_directions(structure)
     D = sp.kron(force_density_matrix(structure, q), sp.eye_array(3), format="csr")

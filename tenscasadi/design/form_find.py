@@ -194,7 +194,7 @@ def _estimate_forms(
 ) -> list[tuple[Array, Array]]:
     """Estimate equilibrium forms by linear algebra.
 
-    They have nodes (n, 3) and unknown force densities (u,).
+    They have nodes (n, 3) and unknown force densities (u,). `p` (u,) is an estimate of these.
     """
     if goals.hold(structure):
         nodes = None if len(structure.bars) else solve_form(structure, densities.of(p), goals.loads)
@@ -206,7 +206,7 @@ def _estimate_forms(
 def _read_goals(
     structure: Structure, lengths: Any, positions: Any, equal_tension: Any, loads: Any
 ) -> Goals:
-    """Read prescribed properties of a form.
+    """Read prescribed properties of a form, arguments of `form_find`.
 
     Raises TypeError, ValueError.
     """
@@ -252,9 +252,9 @@ def _assess(
 ) -> Form:
     """Assess a form by unbalanced forces, tensions and goals.
 
-    The form has nodes (n, 3), force densities q (α + β,) and the relative residuals of goals by
-    name, `misses`. Force densities within rounding of their typical size, `scale` [N/m], count as
-    zero.
+    The form has nodes (n, 3), force densities q (α + β,) and `loads` (n, 3) [N]. `misses` are the
+    relative residuals of goals by name. Force densities within rounding of their typical size,
+    `scale` [N/m], count as zero.
     """
     q = np.where(np.abs(q).max(initial=0.0) > ROUNDING * scale, q, 0.0)
     strings = len(structure.strings)
@@ -287,7 +287,10 @@ def _assess(
 
 
 def _is_same_body(before: Array, after: Array) -> bool:
-    """Return whether a rigid motion maps nodes (k, 3) to other ones."""
+    """Return whether a rigid motion maps nodes `before` to nodes `after`.
+
+    Both are (k, 3).
+    """
     start, end = before - before.mean(axis=0), after - after.mean(axis=0)
     moved = start @ fit_rotation(start, end).T
     return bool(np.abs(moved - end).max() <= TOLERANCE * np.abs(start).max())
@@ -300,7 +303,7 @@ def _find_fault(
     unbalanced: float,
     misses: Mapping[str, float],
 ) -> str:
-    """Explain why a form is invalid; return "" if it is valid.
+    """Explain why a form with nodes (n, 3) is invalid; return "" if it is valid.
 
     `forces` (α + β,) are those of members [N], `unbalanced` is the largest unbalanced force [N],
     and `misses` are the relative residuals of goals by name.

@@ -158,7 +158,8 @@ class FormProgram:
     def minimize(self, objective: Any, constraints: Any, start: Array) -> tuple[Array, bool]:
         """Minimize an objective subject to constraints = 0.
 
-        Equilibrium and rigid bodies are constraints, too. Returns x, and whether it satisfies all constraints.
+        `start` is the initial guess of x. Equilibrium and rigid bodies are constraints, too.
+        Returns x, and whether it satisfies all constraints.
         """
         rows = ca.vertcat(self.equilibrium, self.bodies, constraints)
         program = {"x": self.x, "f": objective, "g": ca.densify(rows)}
@@ -174,8 +175,8 @@ class FormProgram:
     def solve(self, start: Array) -> tuple[Array, Array]:
         """Find the form by objectives in order of priority.
 
-        They are the goals, then the lengths of bars, then the distance. Returns x, and the
-        residuals of the goals [in units of mean length and force].
+        They are the goals, then the lengths of bars, then the distance. `start` is the initial
+        guess of x. Returns x, and the residuals of the goals [in units of mean length and force].
         """
         x, feasible = self.minimize(self.distance, ca.vertcat(self.goals, self.bars), start)
         if feasible:

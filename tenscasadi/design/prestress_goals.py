@@ -48,7 +48,8 @@ class PrestressProgram(NamedTuple):
     def minimize(self, cost: Array, quadratic: sp.csc_array | None = None) -> ConicSolution:
         """Minimize a quadratic objective.
 
-        It is ½ pᵀ P p + costᵀ p, with p in units of `scale`.
+        It is ½ pᵀ P p + costᵀ p, with p in units of `scale`. P is the matrix `quadratic`, zero by
+        default.
         """
         equal, below = self.in_units()
         found = solve_conic(cost, equal, below, quadratic)
@@ -85,7 +86,10 @@ class PrestressProgram(NamedTuple):
 
 
 class PrestressGoal(Protocol):
-    """Interface of objectives for prestress design."""
+    """Interface of objectives for prestress design.
+
+    `needs_minimum` is whether it needs lower limits of tensions.
+    """
 
     needs_minimum: bool
 
@@ -271,8 +275,9 @@ def _maximize_least(
 ) -> tuple[ConicSolution, float, Array]:
     """Maximize the smallest eigenvalue of the projected stiffness.
 
-    The stiffness is projected onto given orthonormal modes. Returns p, this eigenvalue, and the
-    active modes, which determine it: a program in these alone has the same solution.
+    The stiffness is projected onto given orthonormal modes, columns of `motions`. `near` limits the
+    distance from a previous solution. Returns p, this eigenvalue, and the active modes, which
+    determine it: a program in these alone has the same solution.
     """
     materials, slopes = program.stiffness.reduce(motions)
     material = np.einsum("k,kij->ij", program.stiffness.stiffness, materials)

@@ -141,17 +141,17 @@ class TangentStiffness:
     ) -> tuple[Array, Array]:
         """Compute the softest modes that preserve the lengths of rigid bars.
 
-        Returns the `count` smallest eigenvalues of K(q) [N/m], and their modes; all by default. For
-        `stiffness` see `at`.
+        Returns the `count` smallest eigenvalues of K(q) [N/m], and their modes as columns; all by
+        default. For q and `stiffness` see `at`.
         """
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
     def has_stiff_motions(self, q: Array) -> bool:
-        """Return whether K is positive definite, by its inertia.
+        """Return whether K is positive definite, from a count of eigenvalue signs.
 
-        K acts on displacements that preserve the lengths of rigid bars; a few fixed coordinates
-        exclude rigid-body motions. The softest mode decides if rounding hides its stiffness from
-        the inertia.
+        K, at force densities q (μ,) [N/m], acts on displacements that preserve the lengths of rigid
+        bars; a few fixed coordinates exclude rigid-body motions. A factorization gives the count
+        (Sylvester's law of inertia). The softest mode decides if rounding hides its stiffness.
         """
         K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
         zero = ROUNDING * float(np.abs(K.data).max(initial=0.0))
@@ -189,7 +189,7 @@ def tangent_stiffness(structure: Structure) -> TangentStiffness:
 
 
 def extend_basis(basis: Array, more: Array) -> Array:
-    """Extend an orthonormal basis by further columns.
+    """Extend an orthonormal basis by further columns, `more`.
 
     Only their components orthogonal to the basis are added.
     """

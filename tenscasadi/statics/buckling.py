@@ -147,7 +147,7 @@ def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
     """Solve the buckling eigenproblem for the smallest load factor.
 
     It is the largest μ with −ΔK v = μ K v, and v (free,), orthogonal to rigid-body motions without
-    stiffness. K is the tangent stiffness, ΔK its change per load factor.
+    stiffness. K is the tangent stiffness of `state`, and ΔK = `change` its change per load factor.
     """
     system, K, flat = state.system, state.tangent, state.neutral
     free = system.size - system.rigid - flat.shape[1]
@@ -173,8 +173,8 @@ def _largest_ratio(state: PrestressedState, change: Any) -> tuple[float, Array]:
 def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
     """Find the rigid-body motion (free,) that a load destabilizes most.
 
-    It is one without stiffness. `change` is the change of the tangent stiffness per load factor.
-    Returns None if there is none.
+    It is one without stiffness in the prestressed `state`. `change` is the change of the tangent
+    stiffness per load factor. Returns None if there is none.
     """
     flat = state.neutral
     if not flat.shape[1]:
@@ -186,7 +186,10 @@ def _tipping_motion(state: PrestressedState, change: Any) -> Array | None:
 
 
 def _is_balanced(forces: Array, nodes: Array) -> bool:
-    """Return whether nodal forces (n, 3) are in equilibrium by themselves."""
+    """Return whether forces (n, 3) at nodes (n, 3) are in equilibrium.
+
+    Both the sum of the forces and that of their moments are then zero.
+    """
     arms = nodes - nodes.mean(axis=0)
     size = float(np.abs(arms).max(initial=0.0)) or 1.0
     net = np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0) / size])
@@ -194,6 +197,9 @@ def _is_balanced(forces: Array, nodes: Array) -> bool:
 
 
 def _unit_displacement(state: PrestressedState, motion: Array) -> Array:
-    """Compute nodal displacements (n, 3) of unit norm from free coordinates."""
+    """Compute nodal displacements (n, 3) of unit norm from free coordinates.
+
+    `motion` (free,) is the displacement of the free coordinates.
+    """
     nodal = (state.system.equations.free @ motion).reshape(-1, 3)
     return np.asarray(nodal / np.linalg.norm(nodal))

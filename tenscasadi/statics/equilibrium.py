@@ -283,9 +283,9 @@ def read_problem(
 
 
 def read_load(system: NewtonSystem, load: Any) -> Array:
-    """Read a constant load as nodal forces (n, 3).
+    """Read a constant load as nodal forces (n, 3) [N].
 
-    Nodes are those of the model. Raises TypeError, ValueError.
+    Nodes are those of the model, which `system` contains. Raises TypeError, ValueError.
     """
     modelled, own = system.equations.structure, system.equations.scene.structure
     if not isinstance(load, NodalForce):
@@ -352,9 +352,10 @@ def describe_rest(
 def _retry(
     system: NewtonSystem, rest: SearchResult, nodes: Array, given: Conditions
 ) -> SearchResult:
-    """Repeat the search after dynamic relaxation.
+    """Repeat the search for an equilibrium after dynamic relaxation.
 
-    The first result is kept if the second search does not converge.
+    It starts at nodes (n, 3). `rest` is the result of the first search, which is kept if the second
+    one does not converge. `given` are the inputs and the time.
     """
     scene = system.equations.scene
     u, p = np.split(given.inputs, [scene.nu])
@@ -400,9 +401,9 @@ def _message(system: NewtonSystem, rest: SearchResult, unbalanced: Array, residu
 
 
 def _check_supports(structure: Structure, nodes: Array, moved: list[int]) -> None:
-    """Reject nodes displaced from their pins or rollers.
+    """Reject nodes (n, 3) displaced from their pins or rollers.
 
-    Raises ValueError.
+    Nodes with the indices `moved`, whose motion is prescribed, are exempt. Raises ValueError.
     """
     size = measure_extent(structure.nodes)
     shift = nodes - structure.nodes

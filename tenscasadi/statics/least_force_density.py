@@ -148,9 +148,10 @@ def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bo
 def _newton(
     program: _LeastForceProgram, point: _LeastForceIterate, residuals: tuple[Array, ...]
 ) -> Callable[[Array], _LeastForceIterate]:
-    """Build the Newton step for given complementarity targets.
+    """Build the Newton step of a program from a point.
 
-    The step is a function of the target products (γ − low) z.
+    The step is a function of the target products (γ − low) z. `residuals` are those of the dual
+    equations for γ and t, and of equilibrium.
     """
     above, z = point.above, point.z
     dual, other, primal = residuals
@@ -167,8 +168,8 @@ def _newton(
 def _is_infeasible(A: Any, B: Any, load: Array, y: Array) -> bool:
     """Return whether y proves that the program is infeasible.
 
-    By Farkas' lemma it does if the load does work along the displacements y, but strings and bars
-    cannot.
+    By Farkas' lemma it does if the load does work along the displacements y, but strings (columns
+    of A) and bars (columns of B) cannot.
     """
     size = _largest(y) or 1.0
     work = float((A.T @ y).max(initial=0.0)), _largest(B.T @ y)
@@ -180,7 +181,7 @@ def _largest(values: Array) -> float:
 
 
 def _reach(values: Array, change: Array) -> float:
-    """Compute the step length to the boundary.
+    """Compute the step length along `change` to the boundary.
 
     At this length, of at most 1e3, the first of the positive values becomes zero.
     """
@@ -191,10 +192,11 @@ def _reach(values: Array, change: Array) -> float:
 def _factorize(
     program: _LeastForceProgram, D: Array
 ) -> Callable[[Array, Array, Array], tuple[Array, Array, Array]]:
-    """Build the solver of the Newton equations.
+    """Build the solver of a program's Newton equations.
 
-    They are D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h. Proximal terms keep the
-    matrix regular if bars or equations are linearly dependent. They vanish as the step vanishes.
+    They are D x − Aᵀ y = f, weights t − Bᵀ y = g, A x + B t + slack y = h. The solver maps f, g, h
+    to x, t, y. Proximal terms keep the matrix regular if bars or equations are linearly dependent.
+    They vanish as the step vanishes.
     """
     A, B, W = program.A, program.B, program.weights + 1e-4
     system = (A * (1 / D)) @ A.T + (B * (1 / W)) @ B.T
@@ -215,7 +217,7 @@ def _factorize(
 
 
 def _polish(program: _LeastForceProgram, point: _LeastForceIterate) -> tuple[Array, Array]:
-    """Refine γ − low and t to rounding error.
+    """Refine γ − low and t of a point to rounding error.
 
     The active bounds are treated as equations. The iterate is kept if the solution contradicts this
     active set.

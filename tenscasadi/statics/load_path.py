@@ -224,7 +224,8 @@ def _read_change(
 ) -> LoadChange:
     """Read the changes of loads and inputs per unit factor.
 
-    Raises TypeError, ValueError.
+    `load`, `control` and `parameters` are arguments of `load_path`. `given` are the inputs at
+    factor 0, and `factors` the first and last factor. Raises TypeError, ValueError.
     """
     scene = system.equations.scene
     forces = read_load(system, load) if load is not None else np.zeros(given.anchor.shape)
@@ -245,7 +246,10 @@ def _read_change(
 
 
 def _read_parameters(scene: Scene, given: Any) -> Array:
-    """Read changes of parameters (np,). Raises TypeError, ValueError."""
+    """Read changes of parameters (np,), an array or a mapping of names.
+
+    Raises TypeError, ValueError.
+    """
     layout = scene.layout
     if given is None or not isinstance(given, Mapping):
         none = np.zeros(len(layout))
@@ -262,7 +266,10 @@ def _read_parameters(scene: Scene, given: Any) -> Array:
 
 
 def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str) -> LoadPath:
-    """Compute forces and stability at all points of a path."""
+    """Compute forces and stability at all points of a path.
+
+    `rows` are its equilibria, and `fault` is the reason for an early end, or "".
+    """
     equations = system.equations
     strings, bars = len(equations.structure.strings), len(equations.structure.bars)
     count = len(rows)
@@ -289,7 +296,10 @@ def _collect(scene: Scene, system: NewtonSystem, rows: list[PathRow], fault: str
 
 
 def _collect_sliding(scene: Scene, rows: list[SlidingRow], fault: str) -> LoadPath:
-    """Collect the equilibria of a path with cable friction."""
+    """Collect the equilibria of a path with cable friction.
+
+    `rows` are these equilibria, and `fault` is the reason for an early end, or "".
+    """
     s, found = scene.modelled, [row.equilibrium for row in rows]
     factor = np.array([row.factor for row in rows])
     tension = np.array([eq.tension for eq in found]).reshape(len(rows), len(s.strings))
@@ -308,7 +318,11 @@ def _collect_sliding(scene: Scene, rows: list[SlidingRow], fault: str) -> LoadPa
 
 
 def _describe(scene: Scene, factor: Array, tension: Array, fault: str) -> str:
-    """Describe a path, its first string overload, and an early end."""
+    """Describe a path, its first string overload, and an early end.
+
+    `factor` (k,) and `tension` (k, α) [N] are those of its rows, and `fault` is the reason for the
+    early end, or "".
+    """
     if not len(factor):
         return fault
     end = f"from factor {factor[0]:g} to {factor[-1]:g} in {len(factor)} rows"

@@ -52,7 +52,8 @@ class _SlidingPath:
     def find(self, factor: float, start: Any, rest_length: Array) -> Equilibrium:
         """Find the equilibrium at a factor.
 
-        The cables slip no further than needed from given rest lengths (α,).
+        The search begins at `start`. The cables slip no further than needed from given rest lengths
+        (α,) [m].
         """
         begun = self.scene.structure.replace(rest_length=rest_length)
 

@@ -69,9 +69,9 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 
 
 def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
-    """Order the rows for a small bandwidth.
+    """Order the rows of a matrix A for a small bandwidth.
 
-    Also returns the first row and the end of the rows of each column.
+    Returns A in this order. Also returns the first row and the end of the rows of each column.
     """
     A = sp.csr_array(A, copy=True)
     A.eliminate_zeros()
@@ -86,7 +86,7 @@ def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
 
 
 def split_spaces(R: Array, zero: float) -> tuple[Array, Array]:
-    """Compute orthonormal bases of row space and null space, as columns.
+    """Compute orthonormal bases of row space and null space of R, as columns.
 
     The decomposition is a pivoted QR factorization. Pivots up to `zero` count as zero.
     """

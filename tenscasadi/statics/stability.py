@@ -320,7 +320,7 @@ def read_state(
 
 
 def find_overload(source: Structure | Scene | Model | Equilibrium, state: PrestressedState) -> str:
-    """Describe the most overloaded string.
+    """Describe the most overloaded string of a prestressed state.
 
     Returns "" if there is none.
     """
@@ -343,9 +343,10 @@ def _read_source(source: Any) -> tuple[Any, Any]:
 def _impose(
     system: NewtonSystem, point: StaticPoint, structure: Structure, force_density: Any
 ) -> tuple[StaticPoint, Array]:
-    """Set force densities of members that keep their elastic stiffness.
+    """Prescribe force densities of members that keep their elastic stiffness.
 
-    Also returns the tensions of rigid bars.
+    `force_density` is the argument of `stability`. Returns the point with these. Also returns the
+    tensions of rigid bars [N].
     """
     equations = system.equations
     gamma, lam = read_force_densities(structure, force_density)
@@ -376,7 +377,10 @@ def _impose(
 def describe_state(
     state: PrestressedState, structure: Structure, count: int | None = None
 ) -> Stability:
-    """Compute the softest modes and a message about stability."""
+    """Compute the softest modes of a state and a message about stability.
+
+    `count` is the number of modes; None means all of a small structure, otherwise a few.
+    """
     system, point, equations = state.system, state.point, state.system.equations
     values, vectors = state.lowest if count is None else state.softest(count)
     modes = (equations.free @ vectors).T.reshape(-1, *point.nodes.shape)

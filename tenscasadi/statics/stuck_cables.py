@@ -58,7 +58,10 @@ def replace_cables(scene: Scene) -> Scene:
 
 
 def fix_rest_lengths(scene: Scene, found: Any) -> Any:
-    """Convert an equilibrium of `replace_cables` to one without control."""
+    """Convert an equilibrium of `replace_cables` to one without control.
+
+    `found` is this equilibrium. Its control values become the rest lengths of strings.
+    """
     lengths = found.control
     strings = scene.structure.replace(cables=(), cable_friction=0.0, rest_length=lengths)
     strings_only = replace(scene, structure=strings)
@@ -134,12 +137,12 @@ def find_sliding(scene: Scene, search: Callable[[Array, Any], Any], start: Any) 
 def _find_step(
     excess: Callable[[Array], Array], slip: Array, side: Array, error: Array, limits: Array
 ) -> Array:
-    """Find the Newton step (c,) of the slips at c nodes.
+    """Find the Newton step (c,) of the slips at c nodes [m].
 
     `side` is 1 or −1 for the direction in which a cable slips over a node, 0 where it sticks. The
-    function `excess` of the slips gives the excess tensions, whose value at slipping nodes is
-    `error`. `limits` are the largest slips [m]. The step is zero if the slips do not change the
-    tensions.
+    function `excess` maps slips to excess tensions [N]. Their value at slipping nodes is `error`
+    for the current `slip`. `limits` are the largest slips [m]. The step is zero if the slips do not
+    change the tensions.
     """
     slipping = np.flatnonzero(side)
     slopes = np.zeros((len(slipping), len(slipping)))
@@ -164,7 +167,7 @@ def _list_bends(structure: Structure) -> _Bends:
 
 
 def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
-    """Compute the rest lengths (α,) after slips (c,) [m].
+    """Compute the rest lengths (α,) after slips (c,) at bends of cables [m].
 
     A positive slip lengthens the string before the node.
     """
@@ -175,9 +178,9 @@ def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
 
 
 def _find_slip_limits(lengths: Array, bends: _Bends) -> Array:
-    """Compute the largest possible slip (c,) at each node [m].
+    """Compute the largest possible slip (c,) at each bend of a cable [m].
 
-    It is the shorter length of the two strings.
+    It is the shorter of the rest `lengths` (α,) of the two strings.
     """
     return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
 
@@ -185,8 +188,8 @@ def _find_slip_limits(lengths: Array, bends: _Bends) -> Array:
 def _excess(scene: Scene, found: Any) -> Array:
     """Compute by how much tensions exceed the limits of sticking [N].
 
-    It is T₁ − exp(μ θ) T₂ for both directions of slip (2, c). The cable sticks if neither is
-    positive.
+    It is T₁ − exp(μ θ) T₂ in the equilibrium `found`, for both directions of slip (2, c). The cable
+    sticks if neither is positive.
     """
     structure = scene.modelled
     bends = _list_bends(structure)
@@ -207,5 +210,9 @@ def _violation(excess: Array, side: Array) -> float:
 
 
 def _select(excess: Array, side: Array) -> Array:
-    """Select the excess tension in the direction of slip, at slipping nodes."""
+    """Select the excess tension in the direction of slip, at slipping nodes.
+
+    `excess` (2, c) is the result of `_excess`. `side` (c,) is 1 or −1 for the direction of slip, 0
+    at nodes where the cable sticks.
+    """
     return np.asarray(np.where(side > 0.0, excess[0], excess[1])[side != 0.0])

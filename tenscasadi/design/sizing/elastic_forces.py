@@ -17,8 +17,8 @@ from tenscasadi.util.validate import MAX_ITERATIONS, NEGLIGIBLE, TOLERANCE, Arra
 def elastic_response(program: SizingProgram, area: Array) -> Array:
     """Compute the linear elastic forces (cases, α + β) [N].
 
-    They are due to the loads and the weight of members. Strings do not become slack. Some forces
-    must balance the loads.
+    They are due to the loads of a program and the weight of members with areas (α + β,) [m²].
+    Strings do not become slack. Some forces must balance the loads.
     """
     k, solve = _stiffness(program, area)
     motion = solve(program.loads.T + (program.weight @ area)[:, None])
@@ -28,7 +28,7 @@ def elastic_response(program: SizingProgram, area: Array) -> Array:
 def response_slopes(program: SizingProgram, area: Array) -> Array:
     """Compute the derivatives of `elastic_response` with respect to the areas.
 
-    Their shape is (cases, α + β, α + β) [N/m²].
+    Their shape is (cases, α + β, α + β) [N/m²]. Areas are (α + β,) [m²].
     """
     sections, B = program.sections, program.balance
     k, solve = _stiffness(program, area)
@@ -46,7 +46,8 @@ def response_slopes(program: SizingProgram, area: Array) -> Array:
 def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Array], Array]]:
     """Compute the member stiffnesses and factorize the matrix K.
 
-    Returns the stiffnesses [N/m], and a function f → x that solves K x = f.
+    Areas are (α + β,) [m²]. Returns the stiffnesses [N/m], and a function f → x that solves K x =
+    f.
     """
     sections, B = program.sections, program.balance
     size = float(area.max(initial=0.0)) or 1.0
@@ -67,8 +68,8 @@ def _stiffness(program: SizingProgram, area: Array) -> tuple[Array, Callable[[Ar
 def fit_prestress(program: SizingProgram, area: Array, forces: Array) -> Array:
     """Fit a self-stress (α + β,) to given forces [N].
 
-    It is the least-squares fit within the limits of the areas. `forces` exclude the elastic
-    response.
+    It is the least-squares fit within the limits of the areas (α + β,) [m²]. `forces` exclude the
+    elastic response.
     """
     sections, members = program.sections, program.members
     scale = float(np.abs(forces).max(initial=0.0))
@@ -92,8 +93,9 @@ def superpose_prestress(
 ) -> tuple[Array, Array]:
     """Find areas for the sum of prestress and elastic forces.
 
-    The stiffness depends on the areas. Areas and forces are computed alternately until both agree
-    (fully stressed design).
+    The prestress is (α + β,) [N], and `area` (α + β,) [m²] the initial guess. The stiffness depends
+    on the areas. Areas and forces are computed alternately until both agree (fully stressed
+    design).
 
     Returns
     -------

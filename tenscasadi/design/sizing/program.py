@@ -102,7 +102,7 @@ class SizingProgram:
         self._units, self._rows = self._build()
 
     def nodal_weight(self, area: Array) -> Array:
-        """Compute the nodal weights (n, 3) of the members [N]."""
+        """Compute the nodal weights (n, 3) of members with given areas [N]."""
         return np.asarray((self.end_weights @ area).reshape(-1, 3))
 
     def _build(self) -> tuple[_SizingUnits, _SizingRows]:
@@ -161,7 +161,8 @@ class SizingProgram:
     def _buckling_rows(self, rows: BucklingRows) -> LinearRows:
         """Build the buckling constraints of all load cases, bar by bar.
 
-        They are −f − slope · a ≤ constant [in scaled units].
+        They are −f − slope · a ≤ constant [in scaled units]. `rows` contains the bars with their
+        slopes and constants.
         """
         cases, members, count = len(self.loads), self.members, len(rows.members)
         slope = rows.slope * (self._units.area[rows.members] / self._units.force)
@@ -201,9 +202,9 @@ class _SizingRows(NamedTuple):
 
 
 def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
-    """Build the nodal weights (3n, members) per area of members.
+    """Build the nodal weights (3n, members) per area of members [N/m²].
 
-    One half of the weight of a string or bar acts at each end.
+    One half of the weight of a string or bar acts at each end. `gravity` (3,) is in m/s².
     """
     pairs = member_pairs(structure)
     lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])

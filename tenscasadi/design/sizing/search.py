@@ -52,7 +52,7 @@ class Design(NamedTuple):
 
 
 def find_least_mass(program: SizingProgram) -> Design:
-    """Find the areas and forces with the smallest mass."""
+    """Find the areas and forces of a program with the smallest mass."""
     root = program.solve()
     none = SizedForces(np.inf, root.area, root.force)
     if not np.isfinite(root.mass):
@@ -71,9 +71,9 @@ def find_least_mass(program: SizingProgram) -> Design:
 
 
 def _descend(program: SizingProgram, area: Array) -> SizedForces | None:
-    """Reduce the mass by the convex-concave procedure.
+    """Reduce the mass of a program by the convex-concave procedure.
 
-    It starts from given areas. Returns None if the members cannot carry their own weight.
+    It starts from given areas [m²]. Returns None if the members cannot carry their own weight.
     """
     for _ in range(_GROWTHS):
         found = program.solve(_tangents(program, area))
@@ -91,7 +91,7 @@ def _descend(program: SizingProgram, area: Array) -> SizedForces | None:
 
 
 def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
-    """Linearize the buckling constraints c a² about given areas.
+    """Linearize the buckling constraints c a² about given areas a [m²].
 
     They limit the compressive forces of bars. Bars of zero area remain without compression.
     """
@@ -105,8 +105,9 @@ def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
 def _perturb(program: SizingProgram, best: SizedForces, starts: int) -> SizedForces:
     """Repeat the convex-concave procedure from perturbed designs.
 
-    Areas are multiplied by random factors from 0.1 to 10. Twelve starts reduce the mass of grids of
-    42 members under two load cases by up to 4 %.
+    `best` is the best design so far, and `starts` the number of repetitions. Areas are multiplied
+    by random factors from 0.1 to 10. Twelve starts reduce the mass of grids of 42 members under two
+    load cases by up to 4 %.
     """
     rng = np.random.default_rng(0)
     for _ in range(starts):
@@ -120,7 +121,7 @@ def _perturb(program: SizingProgram, best: SizedForces, starts: int) -> SizedFor
 def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
     """Search for the global minimum mass by branch and bound.
 
-    It ends after a given number of linear programs.
+    `best` is the best design so far. The search ends after a given number of linear `programs`.
     """
     sections, bars = program.sections, np.arange(program.strings, program.members)
     c, strength = sections.buckling, sections.strength
@@ -165,7 +166,7 @@ def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
 
 
 def _inner(low: float, high: float) -> tuple[float, float]:
-    """Compute the inner 90 % of an interval.
+    """Compute the inner 90 % of an interval from `low` to `high`.
 
     If it is divided there, both parts become shorter.
     """

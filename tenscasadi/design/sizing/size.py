@@ -146,8 +146,10 @@ def _stabilize(
 ) -> Sized:
     """Size members such that the structure is stable in all load cases.
 
-    The imposed buckling factor is increased until that of the result is 1. Both differ by the
-    displacements due to self-weight and the accuracy of the solver.
+    `cases` (cases, n, 3) are the loads [N]. `given` is a prescribed prestress (α + β,) [N], or
+    None. The search begins with a `design` that may be unstable. The imposed buckling factor is
+    increased until that of the result is 1. Both differ by the displacements due to self-weight and
+    the accuracy of the solver.
     """
     sections = program.sections
     elastic = structure.replace(bar_stiffness=1.0)  # any: areas give the stiffness
@@ -178,7 +180,7 @@ def _describe(design: Design) -> str:
 
 
 def _gap(mass: float, bound: float) -> float:
-    """Compute the relative gap between mass and lower bound."""
+    """Compute the relative gap between mass and lower bound, at least 0."""
     return max(mass / bound - 1.0, 0.0) if bound > 0.0 else 0.0
 
 
@@ -189,7 +191,7 @@ def _read_sections(
     tube: float,
     minimum_area: ArrayLike,
 ) -> Sections:
-    """Read materials and shapes of sections.
+    """Read materials and shapes of sections, arguments of `size`.
 
     Raises TypeError, ValueError.
     """
@@ -240,7 +242,10 @@ def _read_prestress(
 
 
 def _superpose(structure: Structure, program: SizingProgram, cases: Array, given: Array) -> Sized:
-    """Size members for a given prestress and elastic response."""
+    """Size members for a given prestress and elastic response.
+
+    `cases` (cases, n, 3) are the loads [N], and `given` (α + β,) is the prestress [N].
+    """
     sections = program.sections
     area, forces = superpose_prestress(program, given, sections.needed(given[None]))
     needed = sections.needed(np.vstack([forces, given]))
@@ -256,6 +261,7 @@ def _choose_forces(
 ) -> tuple[Array, Array, Array]:
     """Select the areas, load-case forces and prestress to report.
 
+    They are those of the `best` design. `given` is a prescribed prestress (α + β,) [N], or None.
     Elastic forces are preferred if they are within the limits.
     """
     sections = program.sections
@@ -276,7 +282,7 @@ def _choose_forces(
 
 
 def _explain(program: SizingProgram) -> str:
-    """Explain why no sections can carry the loads."""
+    """Explain why no sections can carry the loads of a program."""
     for case in np.flatnonzero(program.loads.any(axis=1)):
         load = program.loads[case]
         left = unbalanced_load(program, load)
@@ -290,7 +296,8 @@ def _explain(program: SizingProgram) -> str:
 def unbalanced_load(program: SizingProgram, load: Array) -> float:
     """Compute the smallest possible unbalanced force under a load [N].
 
-    Member forces balance the load (free,) as far as possible, with strings in tension.
+    Member forces of the program balance the load (free,) as far as possible, with strings in
+    tension.
     """
     scale = float(np.abs(load).max(initial=0.0)) or 1.0
     B = program.balance

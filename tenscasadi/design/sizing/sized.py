@@ -94,7 +94,10 @@ class Sized(ReadOnlyArrays):
 
 
 def report_failure(structure: Structure, loads: Array, message: str) -> Sized:
-    """Build an unsuccessful result without sections."""
+    """Build an unsuccessful result without sections, with a message.
+
+    `loads` (cases, n, 3) are the load cases [N].
+    """
     members = len(structure.strings) + len(structure.bars)
     none, forces = np.zeros(members), np.zeros((len(loads), members))
     nothing, weight = ("none",) * members, np.zeros(structure.nodes.shape)
@@ -109,7 +112,11 @@ def report_sections(
     design: tuple[Array, Array, Array],
     message: str,
 ) -> Sized:
-    """Build the result from areas, forces and prestress of the members."""
+    """Build the result from a design: areas, forces and prestress.
+
+    The areas and the prestress are (members,), and the forces (cases, members). `loads` (cases, n,
+    3) are the load cases [N].
+    """
     sections, strings = program.sections, len(structure.strings)
     unit = sections.unit
     reasons = _find_reasons(sections, design[0], np.vstack([design[1], design[2]]))
@@ -138,9 +145,10 @@ def report_sections(
 
 
 def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, ...]:
-    """Find the governing limit of each area.
+    """Find the governing limit of each area (members,) [m²].
 
-    It is "yield", "buckling", "minimum" or "none".
+    It is "yield", "buckling", "minimum" or "none". `states` (·, members) are the forces to carry
+    [N].
     """
     needs = [
         sections.needed_for_yield(states).max(axis=0, initial=0.0),
@@ -155,7 +163,7 @@ def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, 
 def _build_structure(
     structure: Structure, program: SizingProgram, area: Array, own: Array
 ) -> Structure:
-    """Build the structure with given areas and prestress.
+    """Build the structure with given areas [m²] and prestress (`own`) [N].
 
     Bars without force get a billionth of the largest area, because each bar must have a mass.
     """

@@ -94,7 +94,8 @@ class StableSizing:
     def search(self, start: Array) -> StableDesign:
         """Find a stable design by successive linearization.
 
-        The response is linearized about the areas of the last program.
+        `start` (members,) are the initial areas [m²]. The response is linearized about the areas of
+        the last program.
         """
         if not start.any():  # no member carries a load
             return self._design(start, np.zeros_like(start), "")
@@ -161,7 +162,9 @@ class StableSizing:
     def _stabilize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
         """Solve semidefinite programs until all load cases are stable.
 
-        Unstable modes of a solution become constraints of the next program.
+        They are linearized about the areas (members,) [m²], and `states` are the responses of load
+        cases there. Unstable modes of a solution become constraints of the next program. Returns
+        areas and prestress, None if there is no solution.
         """
         sections = self.program.sections
         for _ in range(MAX_ITERATIONS):
@@ -229,7 +232,8 @@ class StableSizing:
     def _limits(self, at: Array, states: list[_Response], unit: Array) -> list[LinearRows]:
         """Build the limits of areas and forces [in scaled units].
 
-        Euler loads are linearized about the areas `at`.
+        Euler loads are linearized about the areas `at` (members,). `states` are the responses of
+        load cases there, and `unit` (members,) are the units of areas [m²].
         """
         sections, strings = self.program.sections, self.program.strings
         eye = np.eye(self.program.members)
@@ -257,12 +261,15 @@ def _triangles(matrices: Array) -> Array:
 
 
 def _beside(of_areas: Array, of_prestress: Any) -> sp.csc_array:
-    """Concatenate constraint coefficients of areas and of prestress."""
+    """Concatenate constraint coefficients of areas and of prestress.
+
+    Both have one row for each constraint.
+    """
     return sp.hstack([sp.csc_array(of_areas), sp.csc_array(of_prestress)], format="csc")
 
 
 def _stack(rows: list[LinearRows]) -> LinearRows:
-    """Stack several sets of linear constraints."""
+    """Stack several sets of linear constraints (`rows`) to one."""
     return LinearRows(
         sp.vstack([each.A for each in rows], format="csc"),
         np.concatenate([each.b for each in rows]),

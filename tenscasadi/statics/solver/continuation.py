@@ -139,7 +139,8 @@ class Tracer:
     def start(self, point: StaticPoint, tension: Array, factor: float) -> PathPoint:
         """Begin a path at an equilibrium.
 
-        It leads towards larger factors, unless this factor is the largest.
+        `tension` (rigid bars,) [N] is that at the point, and `factor` is its load factor. The path
+        leads towards larger factors, unless this factor is the largest.
         """
         ahead = np.zeros(self.system.size + 1)
         ahead[-1] = 1.0 if factor < self.factors[1] else -1.0
@@ -186,9 +187,9 @@ class Tracer:
         return rows, f"the factor stays in its range for {most} steps"
 
     def _advance(self, place: PathPoint, step: float) -> tuple[float, PathPoint]:
-        """Take one step along the path of at most a given length.
+        """Advance from a path point by at most a given length.
 
-        The step is halved until the corrector converges and the tangent turns little enough.
+        The `step` is halved until the corrector converges and the tangent turns little enough.
         Returns its length and the new equilibrium.
         """
         while step >= SHORTEST:
@@ -205,8 +206,8 @@ class Tracer:
     def _stop_at(self, place: PathPoint, beyond: PathPoint, bound: float) -> PathPoint:
         """Find the equilibrium at the factor `bound` between two path points.
 
-        The initial guess is on the parabola through both along the first tangent, so that the first
-        one can be a limit point.
+        They are `place` and `beyond`. The initial guess is on the parabola through both along the
+        first tangent, so that the first one can be a limit point.
         """
         way = self._way(place, beyond)
         along = float(place.direction @ way) * place.direction
@@ -233,7 +234,8 @@ class Tracer:
     def _correct(self, place: PathPoint, step: float) -> tuple[PathPoint, int] | None:
         """Find the equilibrium at a distance along the tangent.
 
-        Also return the number of iterations.
+        The tangent is that at the path point `place`, and `step` is the distance. Also returns the
+        number of iterations; None if Newton's method does not converge.
         """
         ahead = step * place.direction * self.units
         nodes = self.equations.displace(place.point.nodes, ahead[:-1])
@@ -262,8 +264,9 @@ class Tracer:
         """Find the equilibrium in a hyperplane across the path.
 
         The hyperplane has the normal `across` (free + 1,), and the distance `offset` from the
-        initial guess: nodes, tensions of rigid bars, and factor. Returns None if Newton's method
-        does not converge.
+        initial guess: nodes, tensions of rigid bars, and factor. Rigid-body motions without
+        stiffness (`neutral`) are excluded. Returns None if Newton's method does not converge.
+        Otherwise also returns the number of iterations.
         """
         equations, system = self.equations, self.system
         for iteration in range(ITERATIONS + 1):
@@ -292,8 +295,10 @@ class Tracer:
     ) -> Callable[[Array, Array, float], tuple[Array, Array, float]]:
         """Factorize the Newton system bordered by the hyperplane.
 
-        The row `across` is the normal of the hyperplane. Rigid-body motions without stiffness
-        (`neutral`) are excluded.
+        It is linearized at a point with tensions (rigid bars,) [N] and a load factor. The row
+        `across` is the normal of the hyperplane. Rigid-body motions without stiffness (`neutral`)
+        are excluded. The result maps residuals of forces, bar lengths and hyperplane to changes of
+        coordinates, tensions and factor.
         """
         system, size, rigid = self.system, self.system.size, self.system.rigid
         scale = system.stiffness_scale(point, tension)
@@ -330,7 +335,10 @@ class Tracer:
         return solve
 
     def _push(self, point: StaticPoint, factor: float) -> Array:
-        """Compute the derivative (free,) of forces with respect to the factor."""
+        """Compute the derivative (free,) of forces with respect to the factor.
+
+        It is that at a point with the load factor `factor`.
+        """
         pushed = self.change.load
         if self.change.inputs.any():
             pushed = pushed + self.equations.push(
@@ -343,8 +351,9 @@ class Tracer:
     ) -> PathPoint:
         """Compute the tangent and stability of an equilibrium on the path.
 
-        The tangent has a positive component along `ahead`. The path point contains the number of
-        displacement modes without a positive stiffness.
+        The point has tensions (rigid bars,) [N] and a load factor. The tangent has a positive
+        component along `ahead` (free + 1,). The path point contains the number of displacement
+        modes without a positive stiffness.
         """
         system = self.system
         pressed = self.equations.at(
@@ -369,7 +378,7 @@ class Tracer:
     def _find_critical(self, place: PathPoint, new: PathPoint) -> list[PathRow]:
         """Locate limit points and bifurcations between two equilibria.
 
-        They are sorted by arc length.
+        These are `place` and the next one, `new`. The result is sorted by arc length.
         """
         reach = float(place.direction @ self._way(place, new))
         low, high = sorted((place.unstable, new.unstable))
@@ -419,7 +428,7 @@ class Tracer:
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
     def _is_bifurcation(self, place: PathPoint, k: int, values: Array, motions: Array) -> bool:
-        """Return whether the k-th softest mode indicates a bifurcation.
+        """Return whether the k-th softest mode at `place` indicates a bifurcation.
 
         Its stiffness `values[k]` is then zero, and its mode `motions[:, k]` is orthogonal to the
         load.
@@ -434,7 +443,8 @@ class Tracer:
     ) -> None:
         """Check that the path is continuous at a step.
 
-        Raises BranchJump if the points on both sides are far from each other.
+        The function `at` maps a step length to a path point, and `reach` is the length between the
+        two known ones. Raises BranchJump if the points on both sides are far from each other.
         """
         before, after = (at(step + side * _SAME * reach) for side in (-1.0, 1.0))
         apart = float(np.linalg.norm(self._way(before, after)))
@@ -451,7 +461,10 @@ class Tracer:
         return np.asarray(np.append(moved, other.factor - place.factor) / self.units)
 
     def _softest(self, place: PathPoint, count: int) -> tuple[Array, Array]:
-        """Find the smallest stiffnesses with their modes (free, count)."""
+        """Find the smallest stiffnesses (count,) with their modes (free, count).
+
+        They are those of the path point `place` [N/m].
+        """
         system, nodes = self.system, place.point.nodes
         point = self.equations.at(nodes, self.change.at(place.factor)._replace(pressing=nodes))
         K, J = system.tangent(point, place.tension), system.lengthening(point)

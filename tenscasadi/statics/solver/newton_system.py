@@ -53,24 +53,28 @@ class NewtonSystem:
     # --- matrices in numbers ---
 
     def tangent(self, point: StaticPoint, tension: Array) -> Any:
-        """Build the tangent stiffness K (free × free), sparse and symmetric."""
+        """Build the tangent stiffness K (free × free), sparse and symmetric.
+
+        It is that at a point with tensions (rigid bars,) [N].
+        """
         return self._tangent.fill(self._values(point, tension))
 
     def member_matrix(self, gamma: Array, along: Array, vectors: Array) -> Any:
         """Assemble a stiffness matrix (free × free) from member blocks.
 
         Blocks γ I + c v vᵀ are those of springs (strings and elastic bars), then of rigid bars.
+        `gamma` (m,) contains γ, `along` (m,) c, and `vectors` (m, 3) v.
         """
         values = np.zeros(self._first_load)
         values[: 9 * len(gamma)] = member_blocks(gamma, along, vectors).ravel()
         return self._only_members.fill(values)
 
     def load_tangent(self, point: StaticPoint) -> Any:
-        """Build the unsymmetric stiffness matrix due to loads."""
+        """Build the unsymmetric stiffness matrix (free × free) due to loads at a point."""
         return self._load_tangent.fill(self._values(point, np.zeros(self.rigid)))
 
     def is_symmetric(self, point: StaticPoint) -> bool:
-        """Return whether the stiffness due to loads is symmetric.
+        """Return whether the stiffness due to loads at a point is symmetric.
 
         It is symmetric for loads with an energy.
         """
@@ -80,11 +84,11 @@ class NewtonSystem:
         return bool(abs(part).max() <= 1e-12 * np.abs(point.load_slopes).max(initial=0.0))
 
     def lengthening(self, point: StaticPoint) -> Any:
-        """Build the sparse Jacobian J (rigid bars × free) of bar lengths."""
+        """Build the sparse Jacobian J (rigid bars × free) of bar lengths at a point."""
         return self._jacobian.fill(self._values(point, np.zeros(self.rigid)))
 
     def nodal_material(self, point: StaticPoint) -> sp.csr_array:
-        """Build the material stiffness (3n × 3n).
+        """Build the material stiffness (3n × 3n) at a point.
 
         It is due to the change of the magnitude of spring forces.
         """
@@ -103,7 +107,7 @@ class NewtonSystem:
         return sp.csr_array(pattern.fill(blocks.ravel()))
 
     def nodal_loads(self, point: StaticPoint) -> sp.csr_array:
-        """Build the symmetric load stiffness (3n × 3n).
+        """Build the symmetric load stiffness (3n × 3n) at a point.
 
         It is the symmetric part of the stiffness of loads that depend on the nodes.
         """
@@ -113,7 +117,10 @@ class NewtonSystem:
         return sp.csr_array(slopes + slopes.T)
 
     def stiffness_scale(self, point: StaticPoint, tension: Array) -> float:
-        """Estimate the largest stiffness [N/m]."""
+        """Estimate the largest stiffness [N/m] at a point.
+
+        `tension` (rigid bars,) is in N.
+        """
         squared = np.einsum("ij,ij->i", point.springs, point.springs)
         largest = [
             np.abs(point.gamma) + np.abs(2 * point.slope * squared),
@@ -215,8 +222,8 @@ class NewtonSystem:
     def _values(self, point: StaticPoint, tension: Array, penalty: float = 0.0) -> Array:
         """Stack the values whose linear combinations form all matrices.
 
-        A penalty on the lengths of rigid bars makes pivots larger. It does not change the
-        solutions.
+        They are those at a point with tensions (rigid bars,) [N]. A penalty on the lengths of rigid
+        bars makes pivots larger. It does not change the solutions.
         """
         units = point.bars / self.equations.lengths[:, None]
         gamma = np.concatenate([point.gamma, tension / self.equations.lengths])
@@ -359,7 +366,7 @@ class NewtonFactors:
         return np.asarray(self.factors.solve(self._load_bars(g))[self.order[: self.size]])
 
     def _load_bars(self, g: Array) -> Array:
-        """Build the right-hand side for given elongations of rigid bars.
+        """Build the right-hand side for given elongations g of rigid bars.
 
         The penalty acts on them, too.
         """
@@ -375,8 +382,8 @@ class NewtonFactors:
 def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
     """Compute the stiffness blocks (m, 3, 3) of members.
 
-    A block is γ I + c v vᵀ, with the force density γ, c = `along` (m,) and the vector v of the
-    member.
+    A block is γ I + c v vᵀ, with the force density γ = `gamma` (m,), c = `along` (m,) and the
+    vector v of the member.
     """
     blocks = (along[:, None] * vectors)[:, :, None] * vectors[:, None, :]
     blocks[:, range(3), range(3)] += gamma[:, None]
@@ -386,7 +393,8 @@ def member_blocks(gamma: Array, along: Array, vectors: Array) -> Array:
 def member_entries(pairs: Indices) -> MatrixEntries:
     """Build the sparse pattern (3n × 3n) of member stiffness blocks.
 
-    Values are the blocks (3, 3) of the members, one after the other.
+    `pairs` (m, 2) are the members' nodes. Values are the blocks (3, 3) of the members, one after
+    the other.
     """
     first, second = 3 * pairs.T[:, :, None, None]
     a, b = np.arange(3)[:, None], np.arange(3)
@@ -409,9 +417,10 @@ def member_entries(pairs: Indices) -> MatrixEntries:
 
 
 def coupling_blocks(point: StaticPoint, coupled: Indices) -> Array:
-    """Compute stiffness blocks (pairs, 3, 3) between a cable's strings.
+    """Compute stiffness blocks (k, 3, 3) between a cable's strings.
 
-    A block is 2 (∂γ_i/∂s_j²) s_i s_jᵀ for the string vectors s.
+    `coupled` (k, 2) are pairs i, j of strings. A block is 2 (∂γ_i/∂s_j²) s_i s_jᵀ for the string
+    vectors s at a point.
     """
     first, second = point.springs[coupled[:, 0]], point.springs[coupled[:, 1]]
     return np.asarray((2 * point.coupling[:, None] * first)[:, :, None] * second[:, None, :])
@@ -420,7 +429,8 @@ def coupling_blocks(point: StaticPoint, coupled: Indices) -> Array:
 def coupling_entries(pairs: Indices, coupled: Indices) -> MatrixEntries:
     """Build the sparse pattern (3n × 3n) of blocks between two members.
 
-    Values are the blocks (3, 3), one after the other. The matrix is symmetric.
+    `pairs` (m, 2) are the members' nodes, and `coupled` (k, 2) the pairs of members. Values are the
+    blocks (3, 3), one after the other. The matrix is symmetric.
     """
     one, other = 3 * pairs[coupled.T]  # (coupled, ends)
     source = np.arange(9 * len(coupled)).reshape(-1, 3, 3)
@@ -442,7 +452,7 @@ def coupling_entries(pairs: Indices, coupled: Indices) -> MatrixEntries:
 def direction_entries(pairs: Indices) -> MatrixEntries:
     """Build the sparse pattern (m × 3n) of member elongations.
 
-    Values are the unit vectors (3,) of the members.
+    `pairs` (m, 2) are the members' nodes. Values are the unit vectors (3,) of the members.
     """
     item = np.repeat(np.arange(len(pairs)), 3)
     source = np.arange(3 * len(pairs))
@@ -458,8 +468,9 @@ def direction_entries(pairs: Indices) -> MatrixEntries:
 def elimination_order(tangent: SparsePattern, jacobian: SparsePattern) -> Indices:
     """Compute a fill-reducing order of elimination.
 
-    Returns the position of each unknown. Each bar follows the coordinates of its ends, as its own
-    pivot is only its compliance.
+    It is for the tangent stiffness bordered by the `jacobian` of bar lengths. Returns the position
+    of each unknown. Each bar follows the coordinates of its ends, as its own pivot is only its
+    compliance.
     """
     size = tangent.shape[0]
     values = np.random.default_rng(0).uniform(0.0, 1e-3, size=len(tangent.indices))

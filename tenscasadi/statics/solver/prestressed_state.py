@@ -67,7 +67,10 @@ class PrestressedState:
         return find_stable_factors(self.system, self.point, self.tension) is not None
 
     def describe_softest(self, values: Array) -> str:
-        """Describe the softest mode by the smallest eigenvalues [N/m]."""
+        """Describe the softest mode by the smallest eigenvalues [N/m].
+
+        `values` are these eigenvalues in ascending order.
+        """
         zero = ROUNDING * self.scale
         if not len(values):
             return "no motion changes the shape"

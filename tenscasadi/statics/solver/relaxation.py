@@ -85,7 +85,10 @@ def relax(scene: Scene, nodes: Array, control: Array, parameters: Array, time: f
 
 
 def _move(model: Model, state: Array, control: Array, duration: float, step: float) -> Runs:
-    """Simulate for a duration, and save up to about 1000 states."""
+    """Simulate for a duration [s], and save up to about 1000 states.
+
+    It begins at a state (nx,), with a constant control (nu,) and time steps of `step` [s].
+    """
     scheme = RungeKutta4()
     inputs = read_inputs(model, duration, step, scheme, state, control, None, many=False)
     every = max(1, -(-inputs.grid.steps // 1000))

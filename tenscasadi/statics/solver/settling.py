@@ -54,7 +54,10 @@ def settle(system: NewtonSystem, nodes: Array, given: Conditions) -> SearchResul
 
 
 def prepare_friction(system: NewtonSystem, nodes: Array, given: Conditions) -> Conditions:
-    """Set the reference nodes from which slip in contacts is measured."""
+    """Set the reference nodes (n, 3) from which slip in contacts is measured.
+
+    Returns `given` with these nodes, if there is friction.
+    """
     if not system.equations.has_friction:
         return given
     return given._replace(anchor=nodes, slip=TOLERANCE * structure_size(nodes))

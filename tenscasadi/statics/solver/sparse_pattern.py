@@ -126,7 +126,7 @@ def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_arra
 
 
 def _find_entries(block: Any) -> tuple[Indices, Indices, Array]:
-    """Find rows, columns and values of a matrix's nonzeros.
+    """Find rows, columns and values of the nonzeros of a matrix `block`.
 
     Compressed formats are read directly, as their conversion by SciPy takes longer.
     """

@@ -69,7 +69,8 @@ class Conditions(NamedTuple):
 class NodeColumns(NamedTuple):
     """Substitute for a `Mechanism` in statics.
 
-    It has one column of N per node, and the attributes of a mechanism that force elements use.
+    It has one column of N per node, and the attributes of a mechanism that force elements use. All
+    of these have the meaning that they have there.
     """
 
     N: Array
@@ -205,7 +206,7 @@ class StaticEquations:
         return np.asarray(nodes + (self.free @ y).reshape(nodes.shape))
 
     def at(self, nodes: Array, given: Conditions) -> StaticPoint:
-        """Compute forces at nodes (n, 3)."""
+        """Compute forces at nodes (n, 3) under given inputs."""
         springs, bars = self._across @ nodes, self._across_bars @ nodes
         gamma, slope, coupling = np.zeros(0), np.zeros(0), np.zeros(0)
         if len(springs):
@@ -229,7 +230,7 @@ class StaticEquations:
         return np.asarray(self._onto_free @ forces.ravel())
 
     def bar_forces(self, point: StaticPoint, tension: Array) -> Array:
-        """Compute the nodal forces (n, 3) of rigid bars [N].
+        """Compute the nodal forces (n, 3) of rigid bars at a point [N].
 
         The tensions (β_r,) are given [N].
         """
@@ -252,18 +253,21 @@ class StaticEquations:
         return np.asarray(allowed @ (allowed.T @ gathered) - gathered).reshape(total.shape)
 
     def spring_vectors(self, nodes: Array) -> Array:
-        """Compute the member vectors (·, 3) of springs [m].
+        """Compute the member vectors (·, 3) of springs [m] at nodes (n, 3).
 
         Springs are strings, then elastic bars.
         """
         return np.asarray(self._across @ nodes)
 
     def bar_vectors(self, nodes: Array) -> Array:
-        """Compute the vectors (β_r, 3) of rigid bars [m]."""
+        """Compute the vectors (β_r, 3) of rigid bars [m] at nodes (n, 3)."""
         return np.asarray(self._across_bars @ nodes)
 
     def bar_errors(self, nodes: Array) -> Array:
-        """Compute the constraint residuals φ (β_r,) of rigid bars [m]."""
+        """Compute the constraint residuals φ (β_r,) of rigid bars [m].
+
+        `nodes` (n, 3) are their positions [m].
+        """
         bars = self.bar_vectors(nodes)
         squared = np.einsum("ij,ij->i", bars, bars)
         return np.asarray((squared - self.lengths**2) / (2 * self.lengths))
@@ -273,7 +277,8 @@ class StaticEquations:
     def push(self, nodes: Array, given: Conditions, change: Array) -> Array:
         """Compute the directional derivative (n, 3) of applied forces.
 
-        The direction is a change (nw,) of the inputs.
+        It is that at nodes (n, 3) and `given` inputs. The direction is a change (nw,) of the
+        inputs.
         """
         springs = self._across @ nodes
         by_length = np.zeros(len(springs))

@@ -153,7 +153,11 @@ class _SearchState:
         raise StalledError(f"the forces did not balance within {limit} iterations")
 
     def result(self, reason: str, stalled: bool = False) -> SearchResult:
-        """Build the result from the last iterate."""
+        """Build the result from the last iterate.
+
+        `reason` explains a failure, and is "" after success. `stalled` is whether the search made
+        no progress.
+        """
         found, stable = not reason, self.stable and not reason
         return SearchResult(
             self.point, self.tension, self.residual, found, stable, stalled, reason, self.steps
@@ -261,7 +265,10 @@ class _SearchState:
         return found
 
     def _polish(self, factors: NewtonFactors) -> None:
-        """Take a last Newton step if it reduces the residual."""
+        """Accept a last Newton step if it reduces the residual.
+
+        `factors` are those of the Newton system at the iterate.
+        """
         before = self.point, self.tension, self.residual
         p, change = factors.solve(self.residual)
         nodes = self._move(p, factors)
@@ -296,18 +303,20 @@ class _SearchState:
         raise StalledError("no step leaves the saddle of the energy")
 
     def _move(self, p: Array, factors: NewtonFactors) -> Array | None:
-        """Displace the nodes and restore the bar lengths.
+        """Displace the nodes by p (free,) and restore the bar lengths.
 
-        Return None if the lengths cannot be restored.
+        `factors` are those of the Newton system at the iterate. Returns None if the lengths cannot
+        be restored.
         """
         return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
 
     def _works(self, half: Array, whole: Array, tension: Array) -> tuple[float, float]:
         """Compute the work of forces along half and all of a step [J].
 
-        The power along the parabola through the nodes is integrated as a parabola, by Simpson's
-        rule. It is exact for constant tensions of rigid bars, which do no work but cancel most of
-        the rounding error.
+        The nodes `half` and `whole` (n, 3) are those after half and all of it, and `tension` (β_r,)
+        [N] is that of rigid bars. The power along the parabola through the nodes is integrated as a
+        parabola, by Simpson's rule. It is exact for constant tensions of rigid bars, which do no
+        work but cancel most of the rounding error.
         """
         first, last = half - self.point.nodes, whole - self.point.nodes
         ways = 4 * first - last, last, 3 * last - 4 * first
@@ -343,7 +352,7 @@ class _SearchState:
 def allowed_residual(
     system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
 ) -> float:
-    """Compute the unbalanced force that counts as zero [N].
+    """Compute the unbalanced force at a point that counts as zero [N].
 
     It is `accuracy` times the largest force of springs, rigid bars (`tension`) and loads, plus the
     rounding error of the spring forces.
@@ -358,7 +367,8 @@ def allowed_residual(
 def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
     """Restore the lengths of rigid bars by minimum-norm displacements.
 
-    Raises NoRestError if there is no such configuration nearby.
+    Returns the nodes (n, 3) after these, from `nodes` (n, 3). Raises NoRestError if there is no
+    such configuration nearby.
     """
     equations = system.equations
     if not system.rigid:
@@ -374,7 +384,8 @@ def restore_bars(system: NewtonSystem, nodes: Array) -> Array:
 def pull_to_bars(system: NewtonSystem, nodes: Array, factors: NewtonFactors) -> Array | None:
     """Restore the lengths of rigid bars with a given factorization.
 
-    The factors are those of a configuration nearby. Returns None if the lengths cannot be restored.
+    Returns the nodes (n, 3) after this, from `nodes` (n, 3). The factors are those of a
+    configuration nearby. Returns None if the lengths cannot be restored.
     """
     equations = system.equations
     last = np.inf
