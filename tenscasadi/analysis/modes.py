@@ -249,9 +249,9 @@ def modes(
 
 
 def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array, Array]:
-    """Check a model, and read a state (nx,) and inputs (nw,).
+    """Check a model, and read a state x (nx,) and inputs (nw,).
 
-    None stands for the initial values.
+    The inputs are the control u (nu,) and the parameters. None stands for the initial values.
     """
     if isinstance(model, OperatingPoint):
         model, x = model.model, model if x is None else x
@@ -262,7 +262,7 @@ def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array,
 
 
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
-    """Raise ValueError unless all values are finite.
+    """Raise ValueError unless all values at a state (nx,) are finite.
 
     The message names a member of zero length.
     """
@@ -280,9 +280,10 @@ def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
 
 
 def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array, int, float]:
-    """Compute all modes by dense matrices.
+    """Compute all modes at a state (nx,) with inputs (nw,) by dense matrices.
 
-    Returns ω² (k,), shapes (nq, k), the number of rigid-body motions, the largest acceleration.
+    Returns ω² (k,) [rad²/s²], shapes (nq, k), the number of rigid-body motions, and the largest
+    acceleration.
     """
     nq, control, p = model.nq, inputs[: model.nu], inputs[model.nu :]
     linear = linearize(model, state, control, p)
@@ -307,8 +308,8 @@ def _lowest_modes(
 ) -> tuple[Array, Array, int, float]:
     """Compute the modes of lowest frequency by sparse matrices.
 
-    The result is that of `_all_modes`. Raises LinAlgError where the matrices are too badly
-    conditioned.
+    They are `count` modes at a state (nx,) with inputs (nw,). The result is that of `_all_modes`.
+    Raises LinAlgError where the matrices are too badly conditioned.
     """
     K, M, J, acceleration = _stiffness(model, state, inputs)
     motions = _find_rigid_motions(model, state)
@@ -330,7 +331,8 @@ def _lowest_modes(
 def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any, Array]:
     """Build the sparse eigenproblem of the modes, and the accelerations.
 
-    K, M (nq×nq) and J (m×nq) define K v = ω² M v, J v = 0.
+    It is that at a state (nx,) with inputs (nw,). K, M (nq×nq) and J (m×nq) define K v = ω² M v, J
+    v = 0.
     """
     derivatives = EquationDerivatives.of(model)
     M, J, force, bias = derivatives.system_at(state, inputs)
@@ -345,7 +347,7 @@ def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any
 def _neutral(K: Array, motions: Array) -> Array:
     """Find combinations of displacements without a restoring force.
 
-    The result is an orthonormal basis; `motions` are columns.
+    K is the stiffness. The result is an orthonormal basis; `motions` are columns.
     """
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
@@ -355,7 +357,7 @@ def _neutral(K: Array, motions: Array) -> Array:
 
 
 def _find_rigid_motions(model: Model, state: Array) -> Array:
-    """Find the rigid-body motions that pinned coordinates allow.
+    """Find the rigid-body motions at a state that pinned coordinates allow.
 
     The result is an orthonormal basis (nq, ≤ 6).
     """

@@ -25,8 +25,9 @@ class AccuracyTarget:
     """Reference positions, permitted error and deadline of a search.
 
     The nodes (n, 3) must be reproduced within `wanted` m. The search ends at the time `deadline` of
-    the clock [s], `time_limit` after its start, or once it is interrupted. `found` is the best
-    sufficient choice so far, which remains known when an exception ends the search.
+    the clock [s], `time_limit` after its start, or once it is interrupted. It reports its progress
+    to `progress_bar`. `found` is the best sufficient choice so far, which remains known when an
+    exception ends the search.
     """
 
     nodes: Array
@@ -70,9 +71,9 @@ class Price:
 def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> Choice | None:
     """Find about the cheapest step or rtol with sufficient accuracy.
 
-    Returns None if no option costs less than `most`. If the deadline or Ctrl-C ends the search, the
-    best choice so far is `goal.found`. `speed`: instructions in a second, where they are not
-    counted.
+    The accuracy is that of `goal`, for the scheme and the run of `case`. Returns None if no option
+    costs less than `most` instructions. If the deadline or Ctrl-C ends the search, the best choice
+    so far is `goal.found`. `speed`: instructions in a second, where they are not counted.
     """
     if not case.scheme.implicit:
         # Error control and event location double the work.
@@ -96,8 +97,8 @@ def find_option(case: Case, speed: float, goal: AccuracyTarget, most: float) -> 
 class Choice:
     """Measured error and cost of a scheme with a step or tolerance.
 
-    It takes `steps` of at most `step` s and ends in the state `end` (nx,) with an error of `error`
-    m. It costs `cost` instructions and `seconds` s of wall time.
+    `case` contains the scheme. It takes `steps` of at most `step` s and ends in the state `end`
+    (nx,) with an error of `error` m. It costs `cost` instructions and `seconds` s of wall time.
     """
 
     case: Case
@@ -117,10 +118,10 @@ class Choice:
 
 
 def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Choice:
-    """Simulate once and measure the position error.
+    """Simulate a case once and measure the position error.
 
-    The error is infinite if the run fails. A sufficient choice becomes `goal.found` before its time
-    is measured.
+    `step` is the step [s] or rtol, and `price` the cost of a step. The error is infinite if the run
+    fails. A sufficient choice becomes `goal.found` before its time is measured.
     """
 
     def run(**options: Any) -> Trajectory:
@@ -144,9 +145,10 @@ def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Cho
 
 
 def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
-    """Find about the largest rtol with sufficient accuracy.
+    """Find about the largest rtol of a case with sufficient accuracy.
 
-    The error is at most `wanted`. Returns None if it costs `most` or more.
+    The error is at most `goal.wanted`. `price` is the cost of a step. Returns None if it costs
+    `most` instructions or more.
     """
     best: Choice | None = None
     wanted, expected = goal.wanted, 0.0
@@ -179,7 +181,8 @@ def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -
 def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
     """Find about the smallest number of equal steps with sufficient accuracy.
 
-    The error is at most `wanted`. Returns None if they cost `most` or more.
+    The steps are those of a case, and the error is at most `goal.wanted`. `price` is the cost of a
+    step. Returns None if they cost `most` instructions or more.
     """
     wanted = goal.wanted
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf
@@ -212,9 +215,9 @@ def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) ->
 
 
 def count_coarsest(case: Case, state: Array | None = None) -> int:
-    """Compute the number of steps at the stability limit.
+    """Compute the number of steps of a case at the stability limit.
 
-    The limit is the smaller one of those at the initial state and at `state`.
+    The limit is the smaller one of those at the initial state and at `state` (nx,).
     """
     if case.scheme.implicit:
         return 8

@@ -209,7 +209,8 @@ def reference_solution(
 def show_progress(progress: bool | None, unit: str, total: int | None = None) -> Any:
     """Build a progress bar that appears after two seconds.
 
-    With None, it is shown if standard error is a terminal. Raises TypeError.
+    It counts `total` items of a `unit`; None means an unknown total. With `progress` None, it is
+    shown if standard error is a terminal. Raises TypeError.
     """
     if progress is not None:
         flag("progress", progress)
@@ -220,8 +221,9 @@ def show_progress(progress: bool | None, unit: str, total: int | None = None) ->
 def _refine_steps(pairs: _Pairs, counts: Iterable[int], target: float, accepted: float) -> None:
     """Solve with finer steps until both schemes agree.
 
-    Their difference is then at most `target`. Refinement also ends if the difference no longer
-    decreases.
+    `counts` are the numbers of steps to try. The difference of both schemes is then at most
+    `target` [m]. Refinement also ends if the difference no longer decreases and is at most
+    `accepted` [m].
     """
     for count in counts:
         before = pairs.apart
@@ -290,7 +292,10 @@ class _Pairs:
         )
 
     def try_tolerance(self, rtol: float) -> None:
-        """Solve with error control and event location of both schemes."""
+        """Solve with error control and event location of both schemes.
+
+        `rtol` is the relative tolerance of both.
+        """
         first, second = DormandPrince853(rtol), DormandPrince54(rtol)
         self._try(
             f"DormandPrince853 and DormandPrince54 with rtol={rtol:g}",
@@ -383,7 +388,8 @@ def _step_counts(
 ) -> Iterator[int]:
     """Yield increasing numbers of steps for the scheme of order 8.
 
-    They grow from the stability limit at the start to the number that `work` allows.
+    They grow from the stability limit at the initial `state` (nx,) to the number that `work`, a
+    limit of instructions, allows. The run ends at `t_end` [s].
     """
     limits = [
         0.9 * find_limit(model, scheme, state, parameters=parameters)
@@ -403,7 +409,7 @@ def _step_counts(
 
 
 def end_nodes(model: Model, trajectory: Trajectory) -> Array:
-    """Select the final nodes (n, 3) of the scene's structure.
+    """Select the final nodes (n, 3) of a trajectory in the scene's structure.
 
     Nodes inside strings follow them and are omitted.
     """
@@ -411,5 +417,8 @@ def end_nodes(model: Model, trajectory: Trajectory) -> Array:
 
 
 def distance(nodes: Array, others: Array) -> float:
-    """Compute the largest distance between corresponding nodes [m]."""
+    """Compute the largest distance between corresponding nodes [m].
+
+    `nodes` and `others` are (n, 3) [m].
+    """
     return float(np.linalg.norm(nodes - others, axis=1).max(initial=0.0))

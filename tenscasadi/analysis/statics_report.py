@@ -114,8 +114,8 @@ def report_statics(scene: Scene, material: Material | None = None) -> StaticsRep
 def find_utilization(eq: Equilibrium, material: Material) -> Array:
     """Compute each member's force relative to its permitted force.
 
-    The result (α + β,) is force over strength, or over Euler's load for compression; NaN without a
-    section.
+    The forces are those of the equilibrium `eq`. The result (α + β,) is force over strength of the
+    material, or over Euler's load for compression; NaN without a section.
     """
     s = eq.structure
     elastic = np.where(s.elastic, s.bar_stiffness * s.bar_rest_length / material.modulus, 0.0)
@@ -146,7 +146,7 @@ def _describe_members(s: Structure) -> list[str]:
 
 
 def _describe_forces(eq: Equilibrium) -> list[str]:
-    """Describe the tensions, bar forces and reactions of an equilibrium."""
+    """Describe the tensions, bar forces and reactions of an equilibrium `eq`."""
     lines = []
     if len(eq.tension):
         slack = int(np.sum(eq.tension == 0.0))

@@ -160,7 +160,10 @@ def _read_steps(steps: Any) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Scheme, model and options of a run, without its step."""
+    """Scheme, model and options of a run, without its step.
+
+    Fields are named as the arguments of `simulate`, and have their meaning.
+    """
 
     model: Model
     scheme: Scheme
@@ -278,7 +281,9 @@ def _measure_rows(
 ) -> Iterable[TradeoffRow]:
     """Yield a row of the study for each step length.
 
-    The time of a step and the set-up are measured once.
+    The lengths are in s, and the scheme has a name. Errors are those to the `reference`. The
+    shortest of several times (`repeats`) counts. The time of a step and the set-up are measured
+    once.
     """
     empty = TradeoffRow(
         case.scheme,

@@ -380,7 +380,7 @@ class Tradeoff:
 
 
 def abbreviate(value: Any, without: str = "") -> str:
-    """Format an object with its non-default options.
+    """Format an object (`value`) with its non-default options.
 
     The option named `without` is omitted.
     """
@@ -398,7 +398,10 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
-    """Check the types of the fields. Raises TypeError, ValueError."""
+    """Check the types of the fields of a row or a table.
+
+    Raises TypeError, ValueError.
+    """
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:
@@ -455,8 +458,8 @@ def _kinds(field: Field[Any]) -> str:
 def _check_values(columns: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """Check the values of the fields.
 
-    Raises ValueError with the name of the first wrong field. NaN stands for a value that was not
-    measured.
+    `columns` are the fields of rows, and `own` those of the table. Raises ValueError with the name
+    of the first wrong field. NaN stands for a value that was not measured.
     """
     if not 0 < own["t_end"] < np.inf:
         raise ValueError(f"field 't_end' is {own['t_end']:g}: it must be finite and greater than 0")
@@ -483,7 +486,7 @@ def _number(value: float, form: str) -> str:
 
 
 def _value(text: str) -> Any:
-    """Read a scheme or correction from its `repr`.
+    """Read a scheme or correction from its `repr` (`text`).
 
     Only registered classes with plain options are read.
     """

@@ -84,9 +84,9 @@ def analyze_scene(
 
 
 def _read_material(modulus: float | None, strength: float | None) -> Material | None:
-    """Read the material of all members.
+    """Read the material of all members from its modulus and strength [Pa].
 
-    Raises ValueError.
+    Returns None if both are missing. Raises ValueError.
     """
     if modulus is None and strength is None:
         return None
@@ -99,7 +99,8 @@ def _read_material(modulus: float | None, strength: float | None) -> Material | 
 def _load_scene(source: str, changes: Sequence[Change]) -> tuple[Scene, str]:
     """Load a scene and the first part of its output file names.
 
-    The source is a template, a scene file, or a file of another program.
+    The source is a template, a scene file, or a file of another program. `changes` replace values
+    of the former two.
     """
     read = READERS.get(Path(source).suffix.lower())
     if read is None:
@@ -124,7 +125,8 @@ def _prestress(scene: Scene, least: float) -> Scene:
 def _find_pictures(found: StaticsReport, stem: str) -> dict[str, Callable[[Path], Any]]:
     """Build functions that draw the forces and the softest modes.
 
-    They are stored by the endings of their file names.
+    They are stored by the endings of their file names. `found` contains the results, and `stem` is
+    used in titles.
     """
     eq, st = found.equilibrium, found.stability
     pictures: dict[str, Callable[[Path], Any]] = {}

@@ -97,5 +97,8 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning in one line."""
+    """Print a warning message in one line, without its place in the code.
+
+    The arguments are those of `warnings.showwarning`.
+    """
     _tell(f"warning: {message}")

@@ -19,7 +19,10 @@ from tenscasadi.version import __version__
 
 
 class Command(NamedTuple):
-    """Command, and the scene-file table whose fields are options."""
+    """Command, and the scene-file table whose fields are options.
+
+    `run` executes it, `section` is the name of the table, and `find_fields` returns its fields.
+    """
 
     run: Callable[..., int]
     section: str = ""
@@ -42,7 +45,10 @@ class _Parser(argparse.ArgumentParser):
 
 
 class CommandOption(NamedTuple):
-    """Option or argument of a command."""
+    """Option or argument of a command.
+
+    `type` is that of its value, `default` the value if it is missing, and `text` the help.
+    """
 
     type: Any
     default: Any
@@ -50,7 +56,7 @@ class CommandOption(NamedTuple):
 
 
 def parse(argv: Sequence[str], commands: Commands) -> Callable[[], int]:
-    """Parse arguments, and return the command ready to run.
+    """Parse arguments (`argv`), and return the command ready to run.
 
     Raises SystemExit.
     """
@@ -127,7 +133,7 @@ def _read_type(kind: Any) -> Any:
 
 @cache
 def _find_options(function: Callable[..., Any]) -> dict[str, CommandOption]:
-    """Find the options of a command from its signature.
+    """Find the options of a command from the signature of its function.
 
     A parameter `report` stands for the fields of `CommandReport`.
     """

@@ -140,7 +140,8 @@ def control_motion(
 def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
     """Read the arguments of `ocp.solve` and the requested studies.
 
-    This is done before anything is solved, so that errors come early.
+    They are those of the scene file `found`. This is done before anything is solved, so that errors
+    come early.
     """
     ocp = load_ocp()
     arguments = ocp.io.problem_files.read_arguments(found.document)
@@ -149,7 +150,7 @@ def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
 
 @contextmanager
 def _named(found: SceneSource, section: str) -> Iterator[None]:
-    """Add the names of file and table to errors."""
+    """Add the names of the scene file `found` and its table (`section`) to errors."""
     try:
         yield
     except SceneFileError:
@@ -159,7 +160,10 @@ def _named(found: SceneSource, section: str) -> Iterator[None]:
 
 
 def _find_plan(found: SceneSource, arguments: dict[str, Any], refinement: Any) -> Any:
-    """Solve the problem in [plan], and refine the plan if requested."""
+    """Solve the problem in [plan], and refine the plan if requested.
+
+    `arguments` are those of `ocp.solve`, and `refinement` is None without a request.
+    """
     with _named(found, "plan"):
         plan = load_ocp().solve(**arguments)
     if refinement is None:
@@ -173,7 +177,7 @@ def _study_robustness(
 ) -> dict[str, Any]:
     """Replay the plan with random errors, and report the result.
 
-    Returns its numbers by name.
+    `study` contains the options. Returns the numbers of the result by name.
     """
     with _named(found, "robustness"):
         result = study.run(plan, progress=sys.stderr.isatty() and not report.quiet)

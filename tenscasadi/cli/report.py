@@ -56,7 +56,10 @@ class CommandReport:
             print(*lines, sep="\n")
 
     def write(self, stem: str, files: Writers, pictures: Writers) -> None:
-        """Write files whose names begin with `stem`, and list them."""
+        """Write files whose names begin with `stem`, and list them.
+
+        `files` and `pictures` are functions that write a path, by the ends of the file names.
+        """
         began = time.perf_counter()
         folder = self.output or Path()
         folder.mkdir(parents=True, exist_ok=True)
@@ -98,7 +101,10 @@ def _plain(value: Any) -> Any:
 
 
 def check_folder(name: str, folder: Path) -> None:
-    """Raise OSError unless a folder exists or can be made."""
+    """Raise OSError unless a folder exists or can be made.
+
+    `name` is that of the option, for the message.
+    """
     there = next(path for path in (folder, *folder.parents) if path.exists())
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
         fault = "cannot be written to" if there.is_dir() else "is a file"
@@ -106,9 +112,9 @@ def check_folder(name: str, folder: Path) -> None:
 
 
 def check_file(name: str, path: Path) -> None:
-    """Raise OSError unless a file can be written.
+    """Raise OSError unless a file at a path can be written.
 
-    Its folder must exist.
+    Its folder must exist. `name` is that of the option, for the message.
     """
     if path.is_dir():
         raise OSError(f"{name} is {path}: that is a folder, give a file")

@@ -11,7 +11,7 @@ from tenscasadi.util.archive import read_format
 
 
 def load_result(path: str) -> Any:
-    """Load a trajectory, rollouts or a plan.
+    """Load a trajectory, rollouts or a plan from a path.
 
     Raises ValueError, OSError.
     """

@@ -79,7 +79,7 @@ class SceneSource:
         return {name: list(strings) for name, strings in groups if not name.endswith("]")}
 
     def has(self, section: str) -> bool:
-        """Return whether the file has a table of this name."""
+        """Return whether the file has a table with the name `section`."""
         return self.document.section(section) is not None
 
 
@@ -90,9 +90,9 @@ def read_title(template: str) -> str:
 
 
 def find_source(name: str, changes: Sequence[Change] = ()) -> SceneSource:
-    """Find a template or a scene file.
+    """Find a template or a scene file by its name.
 
-    Raises ValueError, FileNotFoundError.
+    `changes` replace values of the file. Raises ValueError, FileNotFoundError.
     """
     if name in TEMPLATES:
         return SceneSource(name, TEMPLATES[name], changes)

@@ -39,7 +39,10 @@ class ColorScale:
 
     @staticmethod
     def of(quantity: str, values: Array) -> ColorScale:
-        """Build the color scale for all finite values."""
+        """Build the color scale for all finite values of a quantity.
+
+        `quantity` is "tension" or "force density".
+        """
         known = values[np.isfinite(values)]
         positive = known[known > 0]
         end = np.quantile(positive, STYLE.saturation, method="higher") if len(positive) else 0.0

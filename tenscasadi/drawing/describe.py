@@ -27,7 +27,7 @@ MOST_COPIES = 60  # drawn motions of rollouts: more are no longer told apart
 
 
 def describe_content(things: Any, field: str = "things", ground: Grounds = None) -> ViewContent:
-    """Convert structures, scenes or results to picture content.
+    """Convert structures, scenes or results (`things`) to picture content.
 
     They can be in a list, or in a mapping of names. Objects of other packages convert themselves by
     a method ``_view_content_()``. `field` names the argument in errors, and `ground` has grounds
@@ -66,7 +66,7 @@ def describe_content(things: Any, field: str = "things", ground: Grounds = None)
 
 
 def _describe(thing: Any, name: str) -> ViewContent | None:
-    """Convert one object to picture content.
+    """Convert one object to picture content with a name.
 
     Returns None if its type is unknown.
     """
@@ -97,10 +97,10 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
 def describe_structure(
     structure: Structure, name: str, laws: Iterable[tuple[StringLaw, Indices]] | None = None
 ) -> Motion:
-    """Convert a structure at rest to picture content.
+    """Convert a structure at rest to picture content with a name.
 
-    String forces follow from the rest lengths. `laws` are the string laws; by default all have
-    `Clip`.
+    String forces follow from the rest lengths. `laws` are the string laws with the indices of their
+    strings; by default all have `Clip`.
     """
     s, every = structure, np.arange(len(structure.strings))
     tension = np.zeros(len(s.strings))
@@ -130,7 +130,7 @@ def describe_structure(
 
 
 def describe_trajectory(trajectory: Trajectory, name: str) -> Motion:
-    """Convert a trajectory to picture content."""
+    """Convert a trajectory to picture content with a name."""
     t = trajectory
     tension, density = (
         hide_broken(t.scene, t.states, values) for values in (t.tension, t.force_density)
@@ -148,7 +148,7 @@ def find_grounds(result: Trajectory | Rollouts) -> tuple[Surface, ...]:
 
 
 def describe_rollouts(rollouts: Rollouts, name: str) -> Motion:
-    """Convert some rollouts to picture content.
+    """Convert some rollouts to picture content with a name.
 
     They are evenly selected, and drawn as copies of one structure.
     """

@@ -13,7 +13,10 @@ Floats = NDArray[np.float32]
 
 
 class Mesh(NamedTuple):
-    """Triangle mesh with vertices (v, 3) and triangles (f, 3)."""
+    """Triangle mesh.
+
+    `vertices` (v, 3) are positions, and `faces` (f, 3) the vertices of triangles.
+    """
 
     vertices: Array
     faces: Indices
@@ -48,7 +51,7 @@ class Poses(NamedTuple):
 
 
 def build_cylinder(sides: int) -> Mesh:
-    """Build an open cylinder of radius 1 and length 1."""
+    """Build an open cylinder of radius 1 and length 1 with `sides` faces."""
     ring = _build_ring(sides)
     vertices = np.vstack([np.column_stack([ring, np.full(sides, end)]) for end in (-0.5, 0.5)])
     a = np.arange(sides)
@@ -60,7 +63,7 @@ def build_cylinder(sides: int) -> Mesh:
 
 
 def build_cone(sides: int = 12) -> Mesh:
-    """Build a cone with its tip at the origin.
+    """Build a cone with its tip at the origin and `sides` faces.
 
     It has the radius 1 and the height 2.
     """
@@ -79,7 +82,10 @@ def build_arrowhead() -> Mesh:
 
 
 def build_ball(rings: int = 6, sides: int = 10) -> Mesh:
-    """Build a sphere of radius 1 from rings of quadrangles."""
+    """Build a sphere of radius 1 from rings of quadrangles.
+
+    Each ring has as many as `sides`.
+    """
     theta, phi = np.pi * np.arange(rings + 1) / rings, _build_ring(sides)
     z = np.broadcast_to(np.cos(theta)[:, None, None], (rings + 1, sides, 1))
     vertices = np.concatenate([np.sin(theta)[:, None, None] * phi, z], axis=2).reshape(-1, 3)
@@ -96,9 +102,9 @@ def _build_ring(sides: int) -> Array:
 
 
 def stretch_cylinders(ends: Array, radius: Array) -> Poses:
-    """Compute the poses of cylinders between `ends` (m, 2, 3).
+    """Compute the poses of cylinders between `ends` (m, 2, 3) [m].
 
-    Members with an end that is not finite have no size.
+    `radius` (m,) is in m. Members with an end that is not finite have no size.
     """
     known = np.asarray(np.isfinite(ends).all(axis=(1, 2)))
     first, second = np.where(known[:, None, None], ends, 0.0).swapaxes(0, 1)
@@ -118,9 +124,9 @@ def stretch_cylinders(ends: Array, radius: Array) -> Poses:
 
 
 def place_balls(centers: Array, radius: Array) -> Poses:
-    """Compute the poses of upright copies at `centers` (m, 3).
+    """Compute the poses of upright copies at `centers` (m, 3) [m].
 
-    Copies at a position that is not finite have no size.
+    `radius` (m,) scales the copies. Copies at a position that is not finite have no size.
     """
     known = np.asarray(np.isfinite(centers).all(axis=1))
     upright = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(centers), 1))

@@ -61,7 +61,10 @@ def describe_trajectory_forces(trajectory: Trajectory) -> tuple[NodeForces, ...]
 
 
 def _find_loads(scene: Scene, frame: Frame, delay: float) -> Array:
-    """Compute nodal forces and pressure (n, 3) [N]."""
+    """Compute nodal forces and pressure (n, 3) of a frame [N].
+
+    `delay` [s] is the time of the scene at the frame's time 0.
+    """
     time, loads = frame.time + delay, np.zeros_like(frame.nodes)
     if scene.forces is not None:
         given = np.asarray(ca.DM(scene.forces.at(time)))
@@ -72,7 +75,7 @@ def _find_loads(scene: Scene, frame: Frame, delay: float) -> Array:
 
 
 def _find_contact_forces(scene: Scene, frame: Frame) -> Array:
-    """Compute the forces of grounds (n, 3) [N]."""
+    """Compute the forces of grounds (n, 3) on the nodes of a frame [N]."""
     found = np.zeros_like(frame.nodes)
     velocities = found if frame.velocities is None else frame.velocities
     N, V = ca.DM(frame.nodes.T), ca.DM(velocities.T)

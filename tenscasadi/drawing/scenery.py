@@ -67,7 +67,7 @@ def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
 
 
 def find_floor(content: ViewContent) -> Ground:
-    """Find the horizontal plane below all structures.
+    """Find the horizontal plane below all structures of the content.
 
     It serves pictures without a ground.
     """
@@ -77,7 +77,7 @@ def find_floor(content: ViewContent) -> Ground:
 def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
     """Find the part of a ground that lies in a box, or None.
 
-    The corners of the box are in m.
+    The corners `low` and `high` (3,) of the box are in m.
     """
     if isinstance(ground, Terrain):
         return _cut_terrain(ground, low, high)
@@ -138,9 +138,10 @@ def _cut_plane(ground: Ground, low: Array, high: Array) -> GroundPatch | None:
 
 
 def _cut_polygon(polygon: Array, inside: Array) -> Array:
-    """Clip a polygon to where a linear function is not negative.
+    """Clip a polygon (k, 3) to where a linear function is not negative.
 
-    This is a step of the algorithm of Sutherland and Hodgman.
+    `inside` (k,) are the function's values at the corners. This is a step of the algorithm of
+    Sutherland and Hodgman.
     """
     kept: list[Array] = []
     for k, (corner, value) in enumerate(zip(polygon, inside, strict=True)):
@@ -153,7 +154,10 @@ def _cut_polygon(polygon: Array, inside: Array) -> Array:
 
 
 def cut_lines(lines: Array, low: Array, high: Array) -> Array:
-    """Clip lines (k, 2, 3) to a box by the slab method."""
+    """Clip lines (k, 2, 3) to a box by the slab method.
+
+    The corners of the box are `low` and `high` (3,).
+    """
     start, along = lines[:, 0], lines[:, 1] - lines[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         slabs = np.stack([(low - start) / along, (high - start) / along])
@@ -183,10 +187,10 @@ def _cut_terrain(ground: Terrain, low: Array, high: Array) -> GroundPatch:
 
 
 def _terrain_grid(ground: Terrain, low: Array, high: Array) -> Array:
-    """Evaluate points (k, l, 3) of a height field over a box.
+    """Evaluate points (k, l, 3) of a height field over a box [m].
 
-    They lie on the grid lines, halfway between them, and on the border of the box. Beyond its own
-    grid the height is constant.
+    The corners of the box are `low` and `high` (3,) [m]. The points lie on the grid lines, halfway
+    between them, and on the border of the box. Beyond its own grid the height is constant.
     """
     half = grid_spacing(float((high - low).max())) / 2
     x, y = (

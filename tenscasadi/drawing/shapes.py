@@ -86,7 +86,7 @@ class MotionShapes:
         scale: ColorScale | None = None,
         kinds: Iterable[str] = ("load", "contact"),
     ) -> list[DrawnShape]:
-        """Build the shapes of all members, nodes, supports and forces.
+        """Build the shapes of all members, nodes, supports and forces of a frame.
 
         Forces are arrows of the given kinds; rigid bodies have faces. Strings are colored by the
         quantity of the scale; slack strings are thin, and broken strings, whose tension is NaN,
@@ -117,7 +117,10 @@ class MotionShapes:
         ]
 
     def _build_faces(self, nodes: Array) -> list[DrawnShape]:
-        """Build the faces of rigid bodies, one shape for each body."""
+        """Build the faces of rigid bodies, one shape for each body.
+
+        `nodes` (n, 3) are the positions of nodes [m].
+        """
         color = STYLE.body if self.tint is None else self.tint
         return [
             DrawnShape("face", nodes[hull], np.zeros(len(hull)), _fill(color, len(hull)))
@@ -125,7 +128,7 @@ class MotionShapes:
         ]
 
     def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[DrawnShape]:
-        """Build the arrows of forces, one shape for each kind.
+        """Build the arrows of forces in a frame, one shape for each kind.
 
         Kinds that are not wanted have no arrows.
         """
@@ -165,7 +168,7 @@ def _fill(color: Rgb, count: int) -> Bytes:
 
 
 def choose_tint(content: ViewContent, index: int) -> Rgb | None:
-    """Choose one color for a trajectory of a picture.
+    """Choose one color for the trajectory of a picture with a given index.
 
     Returns None for a trajectory whose members are colored by their forces. This is the first one,
     unless it consists of copies.

@@ -98,7 +98,7 @@ def interpolate_colors(ramp: tuple[Rgb, ...], fractions: Array) -> Bytes:
 
 
 def curve_color(index: int) -> Rgb:
-    """Select the color of a curve; colors repeat after all are used."""
+    """Select the color of the curve `index`; colors repeat after all are used."""
     return STYLE.curves[index % len(STYLE.curves)]
 
 

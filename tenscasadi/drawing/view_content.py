@@ -43,7 +43,10 @@ class Frame(NamedTuple):
     row: int = 0
 
     def values(self, quantity: str) -> Array | None:
-        """Select the "tension" or the "force density" of the strings."""
+        """Select a quantity of the strings: "tension" or "force density".
+
+        Returns None if it is not known.
+        """
         return self.tension if quantity == "tension" else self.force_density
 
 
@@ -63,7 +66,7 @@ class NodeForces(NamedTuple):
 
 
 def list_names(structure: Structure | None, kind: str, count: int) -> tuple[str, ...]:
-    """List the names of items of a kind, "node", "bar" or "string".
+    """List the names of `count` items of a kind, "node", "bar" or "string".
 
     Unnamed ones are called by their index, such as "node 3".
     """
@@ -113,7 +116,7 @@ class Motion:
     structure: Structure | None = None
 
     def count(self, kind: str) -> int:
-        """Count the "nodes", "bars" or "strings" of one copy."""
+        """Count the items of a kind in one copy: "nodes", "bars" or "strings"."""
         whole = self.nodes.shape[1] if kind == "nodes" else len(getattr(self, kind))
         return whole // self.copies
 
@@ -139,7 +142,7 @@ class Motion:
         return int(np.clip(row, 0, len(self.time) - 1))
 
     def nodes_at(self, time: float) -> Array:
-        """Interpolate the nodes (n, 3) [m] by a cubic Hermite spline.
+        """Interpolate the nodes (n, 3) [m] at a time [s] by a cubic Hermite spline.
 
         Before the first and after the last row the nodes are at rest.
         """
@@ -285,7 +288,8 @@ class ViewContent:
 def choose_frame_times(content: ViewContent, speed: float, frames_per_second: int) -> Array:
     """Choose the times of a film's frames [s], including both ends.
 
-    `speed` is in simulated seconds per second. Raises ValueError for more than `MOST_FRAMES`.
+    The film shows the content. `speed` is in simulated seconds per second. Raises ValueError for
+    more than `MOST_FRAMES`.
     """
     duration = content.end - content.start
     steps = max(round(duration / speed * frames_per_second), int(duration > 0))

@@ -257,9 +257,9 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
 
     def _read_reset_mask(self, options: dict[str, Any] | None) -> Any:
-        """Read the mask (n,) of episodes to start.
+        """Read the mask (n,) of episodes to start from the options of `reset`.
 
-        Raises ValueError.
+        Without a mask all are started. Raises ValueError.
         """
         if options is None or "reset_mask" not in options:
             return np.ones(self.num_envs, dtype=bool)
@@ -282,7 +282,7 @@ def _spaces(episodes: Episodes) -> tuple[Any, Any]:
 def _clip_action(field: str, given: Any, shape: tuple[int, ...]) -> Any:
     """Clip actions of a shape to −1 … 1.
 
-    Raises TypeError, ValueError.
+    `field` is the name of the argument `given`, for messages. Raises TypeError, ValueError.
     """
     wanted = f"{shape} finite numbers from -1 to 1"
     values = real_array(field, given, wanted)

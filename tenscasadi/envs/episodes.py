@@ -65,9 +65,9 @@ class Episodes:
         self.nodes, self.velocities = self._places(self.states)
 
     def reset(self, which: Any, rng: np.random.Generator) -> None:
-        """Restart the episodes with these indices.
+        """Restart the episodes with the indices `which`.
 
-        Raises ValueError if the spread violates bar lengths.
+        `rng` draws the random variations. Raises ValueError if the spread violates bar lengths.
         """
         task, model = self.task, self.task.model
         self.control = self.control.copy()
@@ -154,11 +154,17 @@ class Episodes:
         return np.clip(seen, -FARTHEST, FARTHEST).astype(np.float32)
 
     def rewards(self, now: Transition, lost: Array) -> Array:
-        """Compute the rewards (n,), which are 0 for diverged episodes."""
+        """Compute the rewards (n,), which are 0 for diverged episodes.
+
+        `now` is the transition of all episodes, and `lost` (n,) marks the diverged ones.
+        """
         return np.where(lost, 0.0, _per_episode("reward", self.task.reward, now))
 
     def find_ended(self, now: Transition, lost: Array) -> Any:
-        """Return which episodes (n,) have terminated."""
+        """Return a mask (n,) of the episodes that have terminated.
+
+        `now` is the transition of all episodes, and `lost` (n,) marks the diverged ones.
+        """
         ended = lost.copy()
         if self.task.end_on_failure:
             internal = self.task.model.split(self.states).internal
@@ -168,14 +174,20 @@ class Episodes:
         return ended | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
-        """Compute node positions and velocities, each (n, N, 3)."""
+        """Compute node positions [m] and velocities [m/s], each (n, N, 3).
+
+        The states are (n, nx).
+        """
         count = len(self.task.model.scene.structure.nodes)
         return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[
             :, :count
         ]
 
     def _find_broken(self, nodes: Array) -> Any:
-        """Return which episodes (n,) have large bar-length errors."""
+        """Return a mask (n,) of the episodes with large bar-length errors.
+
+        The nodes are (n, N, 3) [m].
+        """
         structure = self.task.model.scene.structure
         lengths = structure.bar_lengths
         error = np.abs(distances(nodes, structure.bars) - lengths)
@@ -184,7 +196,7 @@ class Episodes:
     def _inputs(self, action: Array) -> Array:
         """Build the inputs (n, intervals, nw) of one period.
 
-        Rest lengths change in every step.
+        The actions are (n, actions) from −1 to 1. Rest lengths change in every step.
         """
         task, model = self.task, self.task.model
         n, pieces = len(action), task.steps if task.controls_rest_lengths else 1
@@ -218,7 +230,8 @@ def _read_only(array: Array) -> Array:
 def _per_episode(name: str, function: Callable[[Transition], Any], now: Transition) -> Array:
     """Evaluate a user-defined function for all episodes (n,).
 
-    Raises TypeError, ValueError.
+    `name` is that of the task's field, and `now` the transition of all episodes. Raises TypeError,
+    ValueError.
     """
     given = call_user_function(
         f"Task.{name}",

@@ -87,7 +87,7 @@ RENDERERS: dict[str, Callable[[Model, float], Renderer]] = {
 def build_renderer(mode: str, model: Model, period: float) -> Renderer:
     """Build the display of a render mode.
 
-    Raises ValueError.
+    `period` is the time between frames [s]. Raises ValueError.
     """
     if mode not in RENDERERS:
         known = " or ".join(map(format_value, RENDERERS))
@@ -98,7 +98,10 @@ def build_renderer(mode: str, model: Model, period: float) -> Renderer:
 def observe_frame(
     model: Model, state: Array, control: Array, parameters: Array, now: float
 ) -> Frame:
-    """Build the frame of a state (nx,) at a time."""
+    """Build the frame of a state (nx,) at the time `now` [s].
+
+    The control is (nu,), and the parameters are (np,).
+    """
     seen = observe_states(model, state[None], np.concatenate([control, parameters])[None])
     return Frame(
         np.asarray(model.nodes(state)),

@@ -224,7 +224,8 @@ class Task:
 def read_spread(field: str, value: Any) -> tuple[float, float]:
     """Read the random variations of initial positions and velocities.
 
-    One number is that of positions. Raises TypeError, ValueError.
+    They are in m and m/s. `field` is the name of the argument `value`. One number is that of
+    positions. Raises TypeError, ValueError.
     """
     if nesting(value) == 0:
         return positive_number(field, value, zero=True), 0.0

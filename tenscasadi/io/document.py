@@ -46,7 +46,8 @@ class Change(NamedTuple):
 def read_document(path: FilePath, changes: Sequence[Change] = ()) -> Document:
     """Read a scene file with its includes, then apply changes.
 
-    Nothing in the files is run, and no other file is opened. Raises SceneFileError, OSError.
+    `path` is that of the file. Nothing in the files is run, and no other file is opened. Raises
+    SceneFileError, OSError.
     """
     source = file_path("path", path)
     if not source.exists():
@@ -72,7 +73,7 @@ def read_document(path: FilePath, changes: Sequence[Change] = ()) -> Document:
 def write_document(path: Path, tables: Mapping[str, Any]) -> Path:
     """Write tables to a scene file in TOML or JSON.
 
-    Raises OSError.
+    The ending of the path selects the format. Returns the path. Raises OSError.
     """
     text = (to_json if path.suffix == ".json" else to_toml)({**HEAD, **tables})
     with whole_file(path) as file:
@@ -88,7 +89,7 @@ def format_tables(tables: Mapping[str, Any]) -> str:
 def read_tables(field: str, content: Any, read: Callable[[Document], T]) -> T:
     """Read the tables in a text field of saved results.
 
-    Raises ValueError naming the field.
+    `content` is the text, and `read` converts its tables. Raises ValueError naming the field.
     """
     try:
         return read(Document(field, parse(str(content), "json")))
@@ -118,7 +119,8 @@ class _Reader:
     def read(self, path: Path, name: str, above: tuple[Path, ...]) -> dict[str, Any]:
         """Read a file with its includes.
 
-        The files `above` include it, directly or indirectly.
+        `name` is that of the file `path` in messages. The files `above` include it, directly or
+        indirectly.
         """
         content = self._load(path, name)
         own = self.parse(name, content, path.suffix[1:])
@@ -139,9 +141,9 @@ class _Reader:
         return _merge(data, own)
 
     def parse(self, name: str, text: str, language: str) -> dict[str, Any]:
-        """Parse a text, and limit the number of its values.
+        """Parse a text in a language, "toml" or "json".
 
-        Raises SceneFileError.
+        The number of its values is limited. `name` is that of the file. Raises SceneFileError.
         """
         try:
             data = parse(text, "json" if language == "json" else "toml", MAX_ENTRIES - self._values)
@@ -188,7 +190,7 @@ def _check_head(document: Document) -> None:
 
 
 def _find_included(item: Item, folder: Path) -> Path:
-    """Find the path of an included file.
+    """Find the path of an included file from its name in the entry `item`.
 
     It is in the folder of the including file or below. Raises SceneFileError.
     """
@@ -215,7 +217,7 @@ def _find_included(item: Item, folder: Path) -> Path:
 
 
 def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge two tables key by key.
+    """Merge the tables `data` and `over` key by key; values of `over` win.
 
     A table with another `kind` or `shape` replaces the whole table.
     """
@@ -228,7 +230,7 @@ def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compute_numbers(document: Document) -> dict[str, float]:
-    """Compute the declared numbers, some of which refer to others.
+    """Compute the declared numbers of a file, some of which refer to others.
 
     Raises SceneFileError.
     """

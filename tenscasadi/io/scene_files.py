@@ -106,7 +106,7 @@ def save_scene(scene: Any, path: FilePath) -> Path:
 
 
 def read_scene(document: Document) -> Scene:
-    """Read the tables [structure] and [scene].
+    """Read the tables [structure] and [scene] of a scene file (`document`).
 
     Raises SceneFileError.
     """

@@ -112,7 +112,7 @@ class StructureSection(FieldType):
     """Field type of the table [structure]."""
 
     def read(self, item: Item) -> Structure:
-        """Read the structure from the table.
+        """Read the structure from its table (`item`).
 
         Raises SceneFileError.
         """
@@ -128,7 +128,7 @@ class StructureSection(FieldType):
         return _read_shape(known[name.value], item, table)
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Convert a structure to nodes, bars and strings."""
+        """Convert a structure (`value`) to a table with nodes, bars and strings."""
         fields = dict(value.to_fields())
         if all(axes == "xyz" for axes in value.pinned.values()):
             fields["pinned"] = list(value.pinned)
@@ -140,7 +140,10 @@ class StructureSection(FieldType):
         return {name: content for name, content in written.items() if content not in ([], {})}
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema of nodes and of shapes."""
+        """Build the JSON Schema of nodes and of shapes.
+
+        `kinds` collects the schemas that several fields share.
+        """
         return {"anyOf": [NODES.schema(kinds), _build_shape_schema(kinds)]}
 
 
@@ -148,14 +151,18 @@ class StructureSection(FieldType):
 class OfStructure(FieldType):
     """Field type of a structure's attribute, or of another type.
 
-    In files the structure is given by its ``shape``.
+    `take` is the name of the attribute, and `other` the other type. In files the structure is given
+    by its ``shape``.
     """
 
     take: Literal["nodes", "string_lengths"]
     other: FieldType
 
     def read(self, item: Item) -> Any:
-        """Read the attribute of a structure, or the other type."""
+        """Read the attribute of a structure, or the other type, from an entry.
+
+        `item` is this entry of the file.
+        """
         if isinstance(item.value, dict) and "shape" in item.value:
             return getattr(StructureSection().read(item), self.take)
         return self.other.read(item)
@@ -165,11 +172,17 @@ class OfStructure(FieldType):
         return self.other.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema of a shape or the other type."""
+        """Build the JSON Schema of a shape or the other type.
+
+        `kinds` collects the schemas that several fields share.
+        """
         return {"anyOf": [self.other.schema(kinds), _build_shape_schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names by indices, by the other type."""
+        """Replace names in a value by indices, by the other type.
+
+        `field` is the name of the field in messages.
+        """
         return self.other.resolve(field, value, names)
 
 
@@ -248,7 +261,8 @@ def _build(
 ) -> Structure:
     """Build a structure, set its rest lengths, and move it into place.
 
-    Raises SceneFileError.
+    `build` is called with the arguments `given`, and `table` contains further fields of the file's
+    table `item`. Raises SceneFileError.
     """
 
     def make(function: Callable[..., Structure], **fields: Any) -> Structure:

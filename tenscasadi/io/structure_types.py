@@ -61,15 +61,16 @@ class Turn(Value, kind="Turn"):
 class PerItem(FieldType):
     """Field type of a property of nodes, bars or strings.
 
-    It is a number for all, a list, or a table of some of them. Items that a table does not name
-    have the number `others`. If it is infinite, numbers may be.
+    `which` is "node", "bar" or "string". It is a number for all, a list, or a table of some of
+    them. Items that a table does not name have the number `others`. If it is infinite, numbers may
+    be.
     """
 
     which: ItemKind
     others: float
 
     def read(self, item: Item) -> Any:
-        """Read a number or a list of numbers."""
+        """Read a number or a list of numbers from an entry (`item`)."""
         if not isinstance(item.value, dict):
             return self._numbers.read(item)
         values = np.full(item.names.counts[self.which], self.others)
@@ -79,13 +80,16 @@ class PerItem(FieldType):
         return values.tolist()
 
     def write(self, value: Any) -> Any:
-        """Write a number if all are equal, otherwise a list."""
+        """Convert values to a number if all are equal, otherwise to a list."""
         values = self._numbers.write(value)
         alike = isinstance(values, list) and len(set(map(repr, values))) == 1
         return values[0] if alike else values
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema of a number, list or table."""
+        """Build the JSON Schema of a number, list or table.
+
+        `kinds` collects the schemas that several fields share.
+        """
         return for_items(self.which, NUMBER, self._numbers).schema(kinds)
 
     @property
@@ -97,7 +101,8 @@ class PerItem(FieldType):
 class MemberGroups(FieldType):
     """Field type of bars or strings, as node pairs or named groups.
 
-    A group is a list of pairs, or a table with `members` and properties.
+    `which` is "bar" or "string". A group is a list of pairs, or a table with `members` and
+    properties.
     """
 
     which: Literal["bar", "string"]
@@ -106,7 +111,7 @@ class MemberGroups(FieldType):
     def read(self, item: Item) -> MembersRead:
         """Read the members of all groups with their properties.
 
-        Raises SceneFileError.
+        `item` is the entry of the file. Raises SceneFileError.
         """
         if not isinstance(item.value, dict):
             return MembersRead(PAIRS.read(item), [], {})
@@ -138,11 +143,14 @@ class MemberGroups(FieldType):
         return found
 
     def write(self, value: Any) -> Any:
-        """Write pairs of nodes."""
+        """Convert members to pairs of nodes."""
         return np.asarray(value).tolist()
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema of pairs or groups."""
+        """Build the JSON Schema of pairs or groups.
+
+        `kinds` collects the schemas that several fields share.
+        """
         pairs = PAIRS.schema(kinds)
         own = {name: PER_ITEM.schema(kinds) for name in self.properties}
         group = {
@@ -158,7 +166,8 @@ class MemberGroups(FieldType):
 class MembersRead(NamedTuple):
     """Bars or strings that were read from a file.
 
-    `groups` are names and sizes. `properties` are indices, item and value of each group.
+    `pairs` are their nodes. `groups` are names and sizes. `properties` are indices, item and value
+    of each group.
     """
 
     pairs: list[list[int]]
@@ -170,7 +179,7 @@ class NodeTable(FieldType):
     """Field type of node positions, in a list or by name in a table."""
 
     def read(self, item: Item) -> tuple[list[Any], list[str]]:
-        """Read the positions, and their names."""
+        """Read the positions of nodes, and their names, from an entry (`item`)."""
         if not isinstance(item.value, dict):
             if not item.entries():
                 raise item.error("is empty: give at least one node")
@@ -183,11 +192,14 @@ class NodeTable(FieldType):
         return [VECTOR.read(entry) for entry in table.values()], names
 
     def write(self, value: Any) -> Any:
-        """Write positions."""
+        """Convert positions (n, 3) to lists."""
         return POINTS.write(value)
 
     def schema(self, kinds: Schemas) -> Schema:
-        """Build the JSON Schema of a list or a table."""
+        """Build the JSON Schema of a list or a table.
+
+        `kinds` collects the schemas that several fields share.
+        """
         return {"anyOf": [POINTS.schema(kinds), TableOf(VECTOR).schema(kinds)]}
 
 

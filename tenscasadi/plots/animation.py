@@ -116,9 +116,9 @@ def animate(
 
 @contextmanager
 def _open_writer(target: Path, rate: int) -> Iterator[AbstractMovieWriter]:
-    """Open the writer of a film file.
+    """Open the writer of the film file `target`.
 
-    Raises ImportError, OSError.
+    `rate` is in frames per second. Raises ImportError, OSError.
     """
     if target.suffix.lower() == ".gif":
         yield PillowWriter(fps=rate)

@@ -88,14 +88,17 @@ class Canvas3D:
                 self._drawn.append(arrows)
 
     def add_color_bar(self, scale: ColorScale) -> None:
-        """Add the color bar of string forces."""
+        """Add the color bar of string forces with a color scale."""
         ramp = interpolate_colors(STYLE.ramp, np.linspace(0, 1, 256)) / 255
         mapped = ScalarMappable(Normalize(0.0, scale.largest or 1.0), ListedColormap(ramp))
         exceeded = scale.highest > scale.largest
         self.add_bar(mapped, label=scale.label, extend="max" if exceeded else "neither")
 
     def add_bar(self, mapped: ScalarMappable, **options: Any) -> Any:
-        """Add a color bar to the right of the axes."""
+        """Add a color bar to the right of the axes.
+
+        `mapped` contains matplotlib's color map and range of values.
+        """
         place = cast(Any, self.figure).add_axes((0.86, 0.22, 0.025, 0.54))
         bar = self.figure.colorbar(mapped, cax=place, **options)
         backend: Any = FigureCanvasAgg(self.figure)
@@ -141,7 +144,7 @@ class Canvas3D:
             )
 
     def _draw_lines(self, shapes: list[DrawnShape]) -> None:
-        """Draw members, and balls as very short members with round ends."""
+        """Draw members (`shapes`), and balls as very short members with round ends."""
         if not shapes:
             return
         parts = []
@@ -212,7 +215,8 @@ class Canvas3D:
     def _set_limits(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Set the limits and ticks of all axes.
 
-        Returns their center and half the extent of each.
+        The corners of the picture are `low` and `high` (3,). Returns their center and half the
+        extent of each.
         """
         size = float((high - low).max()) or 1.0
         half = np.maximum((high - low) / 2, 0.12 * size) + 0.04 * size

@@ -22,7 +22,7 @@ Groups = list[list[int]]
 
 
 def draw_charts(charts: list[Chart], title: str = "") -> Figure:
-    """Draw charts one below the other, with a common time axis."""
+    """Draw charts one below the other, with a common time axis and a title."""
     figure, axes = make_panels(len(charts), "time (s)", title)
     for ax, chart in zip(axes, charts, strict=True):
         draw_chart(ax, chart)
@@ -116,7 +116,7 @@ def group_curves(values: Array) -> Groups:
 
 
 def _choose_colors(chart: Chart, groups: Groups) -> list[str]:
-    """Choose the color of each group.
+    """Choose the color of each group of a chart's equal curves.
 
     It is that of its first curve if there are few curves.
     """
@@ -125,9 +125,10 @@ def _choose_colors(chart: Chart, groups: Groups) -> list[str]:
 
 
 def _draw_limits(ax: Axes, chart: Chart, groups: Groups, colors: list[str]) -> None:
-    """Draw limits as dashed lines, or as a band between common ones.
+    """Draw limits of a chart as dashed lines, or as a band between common ones.
 
-    Limits far away are only written, as they would flatten the curves.
+    They have the colors of their groups of curves. Limits far away are only written, as they would
+    flatten the curves.
     """
     known = chart.values[np.isfinite(chart.values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
@@ -153,7 +154,10 @@ def _draw_limits(ax: Axes, chart: Chart, groups: Groups, colors: list[str]) -> N
 
 
 def _label_curves(ax: Axes, chart: Chart, groups: Groups, colors: list[str]) -> None:
-    """Write the names of curves at their right ends, without overlap."""
+    """Write the names of curves at their right ends, without overlap.
+
+    Groups of curves have common names and `colors`.
+    """
     if chart.values.shape[1] < 2:
         return
     low, high = ax.get_ylim()
@@ -203,7 +207,7 @@ def _join_names(names: list[str]) -> str:
 
 
 def _widen(ax: Axes) -> None:
-    """Widen the vertical axis of a constant curve.
+    """Widen the vertical axis of a panel (`ax`) with a constant curve.
 
     Otherwise its rounding errors would fill the chart.
     """

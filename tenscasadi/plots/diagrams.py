@@ -123,7 +123,7 @@ def work_precision(
 
 
 def _find_error(value: Any) -> float | None:
-    """Check the error of a reference; None if it is infinite."""
+    """Check the error `value` of a reference; None if it is infinite."""
     return (
         None
         if value is None or (isinstance(value, float) and value == float("inf"))
@@ -140,7 +140,7 @@ def _label_points(curves: Any) -> dict[str, Points]:
 
 
 def _points(field: str, points: Any) -> Points:
-    """Check a list of points (error, cost).
+    """Check a list of points (error, cost), the argument `field`.
 
     Raises TypeError, ValueError.
     """

@@ -190,13 +190,16 @@ def time_lapse(
 
 
 def _find_row(motion: Motion, time: float) -> int:
-    """Find the saved row next to a time."""
+    """Find the saved row of a trajectory that is nearest to a time [s]."""
     wanted = positive_number("time", time, zero=True)
     return int(np.argmin(np.abs(motion.time - wanted)))
 
 
 def _select_rows(content: ViewContent, rows: Indices) -> ViewContent:
-    """Select some times of the first trajectory, without others."""
+    """Select some times of the content's first trajectory, without others.
+
+    `rows` are the indices of the times.
+    """
     motion = content.motions[0]
     names = ("time", "nodes", "velocities", "tension", "force_density")
     given = {name: getattr(motion, name) for name in names}

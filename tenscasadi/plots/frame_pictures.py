@@ -30,7 +30,10 @@ class FramePictures:
         self._canvas.fit()
 
     def draw(self, frame: Frame, scale: ColorScale | None) -> Any:
-        """Draw a frame as an array (400, 480, 3) of bytes."""
+        """Draw a frame as an array (400, 480, 3) of bytes.
+
+        The color scale colors the strings, if it is given.
+        """
         self._canvas.draw(self._shapes.build(frame, scale))
         self._figure.suptitle(f"t = {frame.time:.2f} s")
         self._backend.draw()

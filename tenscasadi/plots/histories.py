@@ -280,7 +280,10 @@ def errors(trajectory: Trajectory, *, title: str = "", path: FilePath | None = N
 
 
 def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float], ...]:
-    """Find the intervals of time [s] in which nodes or bars touch a ground."""
+    """Find the intervals of time [s] in which nodes or bars touch a ground.
+
+    They are those of a trajectory, and () if it has no scene.
+    """
     if trajectory.scene is None:
         return ()
     scene, time = fix(trajectory.scene, trajectory.parameters), trajectory.time
@@ -296,7 +299,7 @@ def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float],
 def choose_nodes(
     trajectory: Trajectory, nodes: Sequence[int | str] | None
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Select nodes by index or name, with their names.
+    """Select nodes of a trajectory by index or name, with their names.
 
     By default they are the nodes that move most.
     """
@@ -307,9 +310,10 @@ def choose_nodes(
 def choose_items(
     history: Any, kind: Literal["node", "string"], items: Sequence[int | str] | None, count: int
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Select nodes or strings by index or name, with their names.
+    """Select nodes or strings (`kind`) by index or name, with their names.
 
-    By default all are selected.
+    `history` has a scene with these names, and `count` is the number of all items. By default all
+    are selected.
     """
     scene, field = getattr(history, "scene", None), f"{kind}s"
     structure = None if scene is None else scene.modelled
@@ -322,7 +326,8 @@ def choose_items(
 def _describe_smallness(values: Array, bottom: float) -> str:
     """Explain a curve that is missing or on the bottom edge.
 
-    Returns "" if it is visible.
+    `values` are those of the curve, and `bottom` is the value at the edge. Returns "" if it is
+    visible.
     """
     if not np.isfinite(values).any():
         return ": not computed"
@@ -333,7 +338,7 @@ def _describe_smallness(values: Array, bottom: float) -> str:
 
 
 def _find_moving_nodes(trajectory: Trajectory) -> list[int]:
-    """Find up to 12 nodes with the largest displacements.
+    """Find up to 12 nodes of a trajectory with the largest displacements.
 
     They are in the order of their indices.
     """

@@ -85,7 +85,10 @@ def _largest_motion(nodes: Array) -> tuple[int, int]:
 
 
 def _draw(ax: Any, x: Array, y: Array, stable: Any, color: str, label: str) -> None:
-    """Draw a curve, dotted where it is unstable."""
+    """Draw a curve y(x), dotted where it is not `stable`.
+
+    `stable` is a mask of its points. Without a `label`, "", it is not in the legend.
+    """
     ax.plot(x, y, ":", color=color, lw=1.1)
     solid = np.where(stable, y, np.nan)
     ax.plot(x, solid, "-", color=color, lw=1.5, label=label or None)

@@ -22,9 +22,10 @@ def make_panels(
     size: tuple[float, float] | None = None,
     margin: float = 0.0,
 ) -> tuple[Figure, list[Axes]]:
-    """Make panels one below the other, with a common horizontal axis.
+    """Make `count` panels one below the other, with a common horizontal axis.
 
-    `size` is in inches; `margin` is the free fraction of the horizontal axis at both ends.
+    `xlabel` is the label of this axis. `size` is in inches; `margin` is the free fraction of the
+    horizontal axis at both ends.
     """
     default = (7.2, 3.6 if count == 1 else 1.0 + 1.8 * count)
     figure = Figure(figsize=size or default, layout="constrained")
@@ -39,7 +40,10 @@ def make_panels(
 
 
 def style_axes(ax: Axes, grid: str = "both") -> None:
-    """Add grid lines, and remove the upper and the right border."""
+    """Add grid lines, and remove the upper and the right border of a panel.
+
+    `grid` is "x", "y" or "both".
+    """
     ax.grid(visible=True, color="0.9", axis=grid)  # type: ignore[arg-type]
     ax.spines[["top", "right"]].set_visible(False)
     ax.set_axisbelow(True)
@@ -51,7 +55,7 @@ def css_color(k: int) -> str:
 
 
 def add_legend(figure: Figure, ax: Axes, count: int) -> None:
-    """Add a legend of `count` curves beside the panels.
+    """Add a legend of `count` curves of a panel (`ax`) beside the panels.
 
     It is below them if names are long. If it needed more than two columns, only the number is
     written.

@@ -121,9 +121,9 @@ def robustness(
 
 
 def _read_errors(data: Any) -> dict[str, ReplayErrors]:
-    """Check the results to draw.
+    """Check the results to draw, and return them by name.
 
-    Raises TypeError, ValueError.
+    `data` is one result, or a mapping of names to results. Raises TypeError, ValueError.
     """
     several = dict(data) if isinstance(data, Mapping) else {"": data}
     if not several:

@@ -185,7 +185,7 @@ def mode_shapes(
 
 
 def _add_reactions(content: ViewContent, forces: Array) -> ViewContent:
-    """Add reactions (n, 3) [N] as arrows to the picture."""
+    """Add reactions (n, 3) [N] as arrows to the picture content."""
     arrows = NodeForces("reaction", lambda _: forces)
     return replace(content, motions=(replace(content.motions[0], forces=(arrows,)),))
 
@@ -193,12 +193,12 @@ def _add_reactions(content: ViewContent, forces: Array) -> ViewContent:
 def _color(members: DrawnShape, size: float, share: Array) -> DrawnShape:
     """Color members by fractions (m,) of the largest force.
 
-    Their width is scaled, too.
+    The fractions (`share`) are −1 to 1. The width of members is scaled, too: `size` is its unit.
     """
     radius = size * (_THINNEST + (_WIDEST - _THINNEST) * np.sqrt(np.abs(share)))
     return members._replace(colors=interpolate_colors(_SIGNS, 0.5 + 0.5 * share), radius=radius)
 
 
 def _thin(shapes: list[DrawnShape], radius: float) -> list[DrawnShape]:
-    """Give all members the same radius [m]."""
+    """Set the same radius [m] for all members (`shapes`)."""
     return [shape._replace(radius=np.full(len(shape.points), radius)) for shape in shapes]

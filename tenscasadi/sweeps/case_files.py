@@ -38,7 +38,8 @@ class CaseOutcome(NamedTuple):
 def check_results(returned: Any) -> dict[str, Any]:
     """Convert a case's result to numbers, text and arrays by name.
 
-    Raises TypeError.
+    The result is the value `returned` by the user's function. None becomes an empty mapping. Raises
+    TypeError.
     """
     if returned is None:
         return {}
@@ -82,14 +83,14 @@ class CaseFiles:
     def key(self, case: Any, field: str) -> str:
         """Compute the key that identifies a case, its file name.
 
-        Raises TypeError.
+        `field` is the name of the case in messages. Raises TypeError.
         """
         return case_key(self.function.key, case, field)
 
     def write(self, key: str, case: Any, outcome: CaseOutcome) -> None:
-        """Write a case atomically.
+        """Write a case with its outcome atomically.
 
-        Raises OSError.
+        `key` is the result of the method `key`. Raises OSError.
         """
         own = self.function
         content = {
@@ -102,7 +103,7 @@ class CaseFiles:
     def read(self, keys: Sequence[str]) -> dict[str, CaseOutcome]:
         """Read the results of cases that have finished without error.
 
-        Raises ValueError if they are of another function.
+        They are found by the keys of the cases. Raises ValueError if they are of another function.
         """
         found, own = {}, self.function
         for key in dict.fromkeys(keys):
@@ -128,7 +129,8 @@ class CaseFiles:
 def _read(function: str, key: str, content: Fields) -> tuple[CaseOutcome, str, str]:
     """Read a result with the source hash and module of its function.
 
-    Raises ValueError.
+    `content` are the fields of the file, and `key` is the case's key. `function` is the function's
+    name. Raises ValueError.
     """
     if hash_case(function, str(content.array("case", "U", 0))) != key:
         raise ValueError("it is of another case")

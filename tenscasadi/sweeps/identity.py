@@ -95,7 +95,7 @@ def _find_content(function: Callable[..., Any]) -> Any:
 def case_key(name: str, case: Any, field: str) -> str:
     """Compute the key of a case from its content and function.
 
-    Raises TypeError naming `field`.
+    `name` is that of the function. Raises TypeError naming `field`.
     """
     return hash_case(name, describe_case(case, field))
 

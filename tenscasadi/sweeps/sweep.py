@@ -120,7 +120,9 @@ def _compute(
 ) -> bool:
     """Compute and save the given cases.
 
-    Returns whether Ctrl-C has ended the sweep.
+    `todo` are the cases by key, and `computed` receives their outcomes. The `executor` calls the
+    function; None means own processes. Results are saved to `files`, unless it is None. With
+    `progress`, a progress bar is shown. Returns whether Ctrl-C has ended the sweep.
     """
     if executor is None:
         jobs = run_in_processes(function, todo)

@@ -38,7 +38,7 @@ _CURE = "which other processes cannot get: give numbers, text and arrays, and bu
 
 
 def compute(function: Function, case: Any) -> CaseOutcome:
-    """Compute a case in a worker.
+    """Compute a case in a worker by calling the function.
 
     An exception becomes the error of the case.
     """
@@ -64,10 +64,10 @@ def _has_keyboard() -> bool:
 def run_on_executor(
     function: Function, cases: Mapping[Any, Any], executor: Executor
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield the results of cases as an executor finishes them.
+    """Yield the keys and results of cases as an executor finishes them.
 
-    Cases that have not begun are canceled when the caller stops early. Raises the exception of an
-    executor that takes no jobs.
+    `function` is called with each case. Cases that have not begun are canceled when the caller
+    stops early. Raises the exception of an executor that takes no jobs.
     """
     futures: dict[Future[CaseOutcome], Any] = {}
     try:
@@ -153,7 +153,7 @@ def _describe_loss(fault: Exception, case: Any) -> CaseOutcome:
 def _find_unpicklable(value: Any, name: str = "case") -> str:
     """Find the part of a case that cannot be pickled.
 
-    Returns "" if there is none.
+    `value` is the case, and `name` its name in the result. Returns "" if there is none.
     """
     try:
         pickle.dumps(value)
@@ -181,7 +181,7 @@ def _check_function(function: Function) -> None:
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
-    """Check that a worker process can import the function.
+    """Check that a worker process of a pool can import the function.
 
     Raises RuntimeError if it cannot begin.
     """
@@ -198,7 +198,7 @@ def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
 def _environment(values: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables for processes started in the block.
 
-    Libraries read them at import.
+    `values` are their values by name. Libraries read them at import.
     """
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)

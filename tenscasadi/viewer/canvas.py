@@ -73,7 +73,7 @@ class Layer:
         self.draw(self.frame, None)
 
     def paint(self, tint: Rgb | None) -> None:
-        """Choose one color for all meshes; None restores their own.
+        """Choose one color (`tint`) for all meshes; None restores their own.
 
         Meshes of one color are transparent.
         """
@@ -86,7 +86,10 @@ class Layer:
                 batch.opacity, batch.cast_shadow = self._opacity, tint is None
 
     def draw(self, frame: Frame, scale: ColorScale | None, kinds: Collection[str] = ()) -> None:
-        """Draw a frame, with arrows for some kinds of forces."""
+        """Draw a frame, with arrows for some kinds of forces.
+
+        The color scale colors the strings, if it is given.
+        """
         self.frame = frame
         shapes = self.shapes.build(frame, scale, kinds)
         for part, shape in zip(PARTS, shapes, strict=False):
@@ -141,8 +144,8 @@ class Layer:
     def _draw_arrows(self, kind: str, shape: DrawnShape) -> None:
         """Draw arrows as a batch of shafts and one of heads.
 
-        Nodes without an arrow have copies of no size. Arrows of viser take much more time on pages
-        that draw in software.
+        `shape` contains their ends, and `kind` is that of the forces. Nodes without an arrow have
+        copies of no size. Arrows of viser take much more time on pages that draw in software.
         """
         count, shown = len(self.frame.nodes), len(shape.points)
         ends, radius = np.zeros((count, 2, 3)), np.zeros(count)
@@ -229,7 +232,7 @@ class Canvas:
     def arrange(self, apart: bool) -> None:
         """Show trajectories side by side along x, or superimposed.
 
-        Side by side each has its own grounds and obstacles.
+        `apart` selects side by side. Then each has its own grounds and obstacles.
         """
         self.apart, self._sun.cast_shadow = apart, self.shaded
         for k, layer in enumerate(self.layers):
@@ -245,7 +248,7 @@ class Canvas:
                 self._scene.remove_by_name(around)
 
     def cast_shadows(self, shaded: bool) -> None:
-        """Show or hide shadows on grounds."""
+        """Show shadows on grounds if `shaded`, else hide them."""
         self.shaded = shaded
         self.arrange(self.apart)
 
@@ -277,7 +280,7 @@ class Canvas:
                 layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
-        """Convert a position in the viewer to structure coordinates [m]."""
+        """Convert a position in the viewer (`seen`) to structure coordinates [m]."""
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
@@ -293,7 +296,10 @@ def add_batch(
     colors: Bytes,
     opacity: float | None,
 ) -> Any:
-    """Add copies of a mesh with poses and colors."""
+    """Add copies of a mesh with poses and colors under a name.
+
+    Without `opacity` (0 to 1) they are opaque. Returns viser's handle.
+    """
     return scene.add_batched_meshes_simple(
         name,
         mesh.vertices,
@@ -313,7 +319,11 @@ def add_batch(
 def _add_surroundings(
     scene: viser.SceneApi, root: str, content: ViewContent, margin: float, shaded: bool
 ) -> None:
-    """Add grounds, obstacles and targets to the 3-D scene."""
+    """Add grounds, obstacles and targets to the 3-D scene.
+
+    `root` is the start of their names. `margin` is the width of the ground around the content,
+    relative to its size. Grounds show shadows if `shaded`.
+    """
     low, high = find_view(content, margin)
     thin: dict[str, Any] = {"thickness_units": "screen"}
     lift = np.array([0.0, 0.0, 1e-3 * content.size])  # else the surface hides parts of the grid
@@ -359,7 +369,10 @@ def _add_surroundings(
 
 
 def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
-    """Add labeled coordinate axes at the lower corner."""
+    """Add labeled coordinate axes at the lower corner of the content.
+
+    `root` is the start of their names.
+    """
     corner, length = content.corners[0], grid_spacing(content.size, 4)
     corner = corner + [0.0, 0.0, 0.02 * content.size]  # above a ground
     tips = corner + length * np.eye(3)
@@ -377,7 +390,7 @@ def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
 
 
 def _place_camera(server: viser.ViserServer, content: ViewContent, more: float) -> None:
-    """Place the camera in front, slightly above and to the side.
+    """Place the camera in front of the content, slightly above and to the side.
 
     Flat structures are seen from their broad side. `more` is the width of further trajectories [m].
     Pages that are too narrow for this get a camera of their own.

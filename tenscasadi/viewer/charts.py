@@ -6,7 +6,7 @@ from tenscasadi.drawing.view_content import Chart, ViewContent
 
 
 def build_charts(content: ViewContent) -> str:
-    """Build all charts as HTML, with lines at the displayed time."""
+    """Build all charts of the content as HTML, with lines at the displayed time."""
     return "".join(_build_chart(chart) for chart in content.charts)
 
 

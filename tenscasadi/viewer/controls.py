@@ -76,7 +76,7 @@ class ViewControls:
             self._add_box(layer.shapes.motion.name, True, partial(setattr, layer.root, "visible"))
 
     def _arrange(self, apart: bool) -> None:
-        """Show the trajectories side by side, or superimposed."""
+        """Show the trajectories side by side if `apart`, else superimposed."""
         self.canvas.arrange(apart)
         self.update_legend()
 
@@ -89,7 +89,7 @@ class ViewControls:
             )
 
     def show_forces(self, kind: str, shown: bool) -> None:
-        """Show or hide the arrows of a kind of forces."""
+        """Show or hide the arrows of a kind of forces, such as "load"."""
         self.canvas.kinds = (self.canvas.kinds | {kind}) if shown else (self.canvas.kinds - {kind})
         self.update_legend()
 
@@ -110,7 +110,10 @@ class ViewControls:
                     )
 
     def add_screenshot(self, name: str) -> None:
-        """Add the button that saves the picture in the browser."""
+        """Add the button that saves the picture in the browser.
+
+        `name` is that of the file.
+        """
         hint = "the picture as a PNG file"
         button = self._gui.add_button("Screenshot", hint=hint)
         button.on_click(lambda event: send_screenshot(event.client, name))
@@ -134,7 +137,11 @@ class ViewControls:
             self.update_legend()
 
     def click(self, motion: int, kind: str, index: int | None) -> None:
-        """Show or remove the label of a clicked node or member."""
+        """Show or remove the label of a clicked node or member.
+
+        `motion` is the number of its trajectory, `kind` is "nodes", "bars" or "strings", and
+        `index` its index there.
+        """
         if isinstance(index, int):
             self._change(lambda: self.labels.toggle((motion, kind, index)))
 
@@ -165,13 +172,19 @@ class ViewControls:
     def _add_box(
         self, name: str, value: bool, apply: Callable[[bool], Any], hint: str | None = None
     ) -> None:
-        """Add a check box that changes the picture."""
+        """Add a check box that changes the picture.
+
+        It has a name, an initial value and a hint. `apply` is called with each new value.
+        """
         box = self._gui.add_checkbox(name, value, hint=hint)
         box.on_update(lambda _: self._change(lambda: apply(bool(box.value))))
 
 
 def add_speed(gui: viser.GuiApi, speed: float, set_speed: Callable[[float], Any]) -> None:
-    """Add the menu of the playback speed."""
+    """Add the menu of the playback speed to the controls `gui`.
+
+    Speeds are in simulated seconds per second. `set_speed` is called with each new one.
+    """
     current = f"{speed:g}"
     speeds = tuple(sorted({*SPEEDS, current}, key=float))
     hint = "simulated seconds per second"

@@ -31,7 +31,8 @@ class Labels:
     def has(self, item: Item) -> bool:
         """Return whether a node or member exists.
 
-        A browser may send any index.
+        `item` is the number of a trajectory, a kind such as "bars", and an index. A browser may
+        send any index.
         """
         k, kind, index = item
         motions = self._canvas.content.motions
@@ -71,9 +72,9 @@ class Labels:
         self.clicked[item] = self._scene.add_label(name, "", anchor="bottom-left")
 
     def number(self, kind: str, shown: bool) -> None:
-        """Show or hide the names or numbers of nodes, bars or strings.
+        """Show or hide the names or numbers of items of a kind.
 
-        At most 1000 are shown.
+        The kind is "nodes", "bars" or "strings". At most 1000 are shown.
         """
         for label in self.numbers[kind]:
             label.remove()
@@ -104,7 +105,8 @@ class Labels:
     def _place(self, label: Any, item: Item, whole: bool) -> None:
         """Move a label to its node or member, and write its text.
 
-        The text is the name or, if `whole`, the whole description.
+        `item` is the number of a trajectory, a kind such as "bars", and an index. The text is the
+        name or, if `whole`, the whole description.
         """
         k, kind, index = item
         layer = self._canvas.layers[k]
@@ -118,6 +120,7 @@ class Labels:
 def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
     """Find the positions of nodes, or of the midpoints of members.
 
+    `kind` is "nodes", "bars" or "strings", and `nodes` (n, 3) are the positions of nodes [m].
     Positions that are not finite are replaced by the origin.
     """
     places = nodes if kind == "nodes" else nodes[getattr(motion, kind)].mean(axis=1)
@@ -126,7 +129,10 @@ def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
 
 
 def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
-    """Describe a node or member: name, nodes, and quantities."""
+    """Describe a node or member of a frame: name, nodes, and quantities.
+
+    `kind` is "nodes", "bars" or "strings", and `index` counts the items of all copies.
+    """
     copy, own = divmod(index, motion.count(kind))
     name, number = motion.names[kind][own], f"{kind[:-1]} {own}"
     if name != number:

@@ -15,7 +15,10 @@ _PATIENCE = 60.0  # s, for one picture of a page that draws in software
 
 
 def send_screenshot(client: Any, name: str) -> None:
-    """Send the present picture to the browser as a PNG file."""
+    """Send the present picture to the browser as a PNG file.
+
+    `client` is viser's handle of the browser, and `name` is that of the file.
+    """
     from PIL import Image  # slow import
 
     file = BytesIO()
@@ -71,6 +74,9 @@ def send_film(
 
 
 def _take_picture(client: Any) -> NDArray[np.uint8]:
-    """Render the picture (height, width, 3) in the browser."""
+    """Render the picture (height, width, 3) in the browser.
+
+    `client` is viser's handle of the browser.
+    """
     size = int(client.camera.image_height), int(client.camera.image_width)
     return np.asarray(client.get_render(*size, timeout=_PATIENCE))

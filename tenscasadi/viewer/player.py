@@ -74,13 +74,14 @@ class Player:
         self._runner.call(lambda: self._show(time))
 
     def play(self, playing: bool) -> None:
-        """Play or pause."""
+        """Play the trajectories if `playing`, else pause."""
         self._runner.call(lambda: self._play(playing))
 
     def film(self, client: Any, name: str) -> None:
         """Save a film of the playback in the browser.
 
-        The page shows the reason if that is impossible.
+        `client` is viser's handle of the browser, and `name` is that of the file. The page shows
+        the reason if that is impossible.
         """
         self.play(False)
         try:
@@ -132,7 +133,8 @@ class Player:
     def _scrub(self, event: Any) -> None:
         """Show the time of a slider that the user drags.
 
-        Changes of the slider by `_tell` have no client, and are ignored.
+        `event` is viser's event of the slider. Changes of the slider by `_tell` have no client, and
+        are ignored.
         """
         value = self._slider.value
         if event.client is None or not isinstance(value, (int, float)):

@@ -44,7 +44,7 @@ class Runner:
         return self._thread.is_alive()
 
     def do(self, order: Callable[[], Any]) -> None:
-        """Queue a function for execution before the next frame.
+        """Queue a function (`order`) for execution before the next frame.
 
         Errors due to invalid values are ignored, as a browser may send any value.
         """
@@ -52,7 +52,7 @@ class Runner:
         self._wake.set()
 
     def call(self, order: Callable[[], _Result]) -> _Result:
-        """Execute a function between frames and wait for its result.
+        """Execute a function (`order`) between frames and return its result.
 
         After the end of the thread it is executed at once.
         """

@@ -54,7 +54,8 @@ class LiveOptions:
 def count_substeps(options: LiveOptions, model: Model, state: Array, control: Array) -> int:
     """Compute the number of time steps in a tick.
 
-    A tick is the interval in which inputs are constant.
+    A tick is the interval in which inputs are constant. The step depends on the state (nx,) and the
+    control (nu,).
     """
     if options.scheme.adaptive:
         return 1
@@ -64,7 +65,10 @@ def count_substeps(options: LiveOptions, model: Model, state: Array, control: Ar
 
 
 def _choose_step(model: Model, scheme: Scheme, state: Array, control: Array) -> float:
-    """Choose the largest step that resolves strings and contacts [s]."""
+    """Choose the largest step that resolves strings and contacts [s].
+
+    It depends on the stability of the scheme at a state (nx,) and a control (nu,).
+    """
     # NaN without a derivative at the start
     stable = 0.5 * find_limit(model, scheme, state, control)
     rate = contact_rate(model)  # rad/s

@@ -75,7 +75,10 @@ class Pace:
             self._log.popleft()
 
     def wait(self, now: float) -> float:
-        """Compute the time until the next tick is due [s]."""
+        """Compute the time until the next tick is due [s].
+
+        `now` is the current time of the clock [s].
+        """
         passed = 0.0 if self._last is None else now - self._last
         return max(0.0, (1.0 - self._debt) * self.tick / self._speed - passed)
 

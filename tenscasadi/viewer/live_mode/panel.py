@@ -101,7 +101,11 @@ class LivePanel:
         save: Callable[[], None],
         download: Callable[[Any], None],
     ) -> None:
-        """Add the buttons that save the recording."""
+        """Add the buttons that save the recording to the controls `gui`.
+
+        `save` writes it to `path` on this machine, and `download` sends it to the browser. Without
+        a path there is no button for the former.
+        """
         if path is not None:
             gui.add_button("Save", hint=f"writes {path}").on_click(lambda _: self._do(save))
         hint = "the recording as a file of tenscasadi.Trajectory"
@@ -111,7 +115,7 @@ class LivePanel:
     # --- actions of a person ---
 
     def run(self, running: bool) -> None:
-        """Continue or pause the simulation."""
+        """Continue the simulation if `running`, else pause it."""
         self.running, self._said = running, ""
         self._play.label = "Pause" if running else "Continue"
         self.pace.rest()
@@ -125,7 +129,7 @@ class LivePanel:
         self.pace.rest()
 
     def say(self, text: str) -> None:
-        """Display a message until the next one or a reset."""
+        """Display the message `text` until the next one or a reset."""
         self._said = text
 
     def find_node(self, part: str, index: int, seen: Any) -> int:
@@ -191,7 +195,7 @@ class LivePanel:
                 entry.value = value
 
     def drive(self, place: int, value: float) -> None:
-        """Apply the value of a slider to the simulation."""
+        """Apply the value of the slider with the index `place` to the simulation."""
         self._inputs[place][0].apply(self.simulation, value)
         self.refresh(place)
 
@@ -269,7 +273,10 @@ class LivePanel:
         return entry
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
-        """Add an input for the index of a string, and a slider for it."""
+        """Add an input for the index of a string, and a slider for it.
+
+        Both belong to the controls `gui`.
+        """
         count = self.simulation.model.nu
         number = gui.add_number("String", 0, min=0, max=count - 1, step=1)
         entry = self._add_slider(gui, build_slider(self.simulation, 0))

@@ -39,7 +39,10 @@ class Pull:
     damping: float
 
     def force(self, place: Array, velocity: Array) -> Array:
-        """Compute the force (3,) on the node [N]."""
+        """Compute the force (3,) on the node [N].
+
+        `place` (3,) is its position [m], and `velocity` (3,) its velocity [m/s].
+        """
         return np.asarray(
             self.stiffness * (np.array(self.target) - place) - self.damping * velocity
         )

@@ -30,8 +30,8 @@ Groups = Mapping[str, Sequence[int]] | None
 class Slider:
     """Slider that sets the control of some strings.
 
-    It sets the rest length [m] or force density [N/m] of each between `low` and `high`. With
-    `factor` it multiplies their initial values.
+    It sets the rest length [m] or force density [N/m] of each of the `strings` between `low` and
+    `high`. With `factor` it multiplies their initial values. `name` is its label.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Slider:
             simulation.set_control(self.strings, value)
 
     def read(self, simulation: LiveSimulation) -> float:
-        """Compute the position of the slider, a mean over its strings."""
+        """Compute the slider's position in a simulation, a mean over its strings."""
         now, start = (
             control[list(self.strings)]
             for control in (simulation.control, simulation.start_control)
@@ -68,8 +68,8 @@ class Slider:
 class ParameterSlider:
     """Slider that sets a parameter of the model.
 
-    It multiplies the values of all items by a number from `low` to `high`. `unit_values` are those
-    at 1.
+    `quantity` is the name of the parameter, and `name` the slider's label. It multiplies the values
+    of all items by a number from `low` to `high`. `unit_values` are those at 1.
     """
 
     name: str
@@ -95,7 +95,7 @@ class ParameterSlider:
 
 
 def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider]:
-    """Choose sliders for constant gravity and for each parameter."""
+    """Choose a simulation's sliders for constant gravity and each parameter."""
     layout, found = simulation.model.parameters, []
     for quantity, place in layout.places.items():
         nominal = layout.nominal[place]
@@ -113,7 +113,7 @@ def choose_parameter_sliders(simulation: LiveSimulation) -> list[ParameterSlider
 
 
 def build_slider(simulation: LiveSimulation, string: int) -> Slider:
-    """Build the slider of one string."""
+    """Build the slider of one string, given by its index."""
     low, high = _choose_range(simulation, simulation.start_control[[string]])
     return Slider(_list_names(simulation)[string], (string,), low, high)
 
@@ -162,7 +162,7 @@ def choose_sliders(simulation: LiveSimulation, groups: Groups = None) -> list[Sl
 
 
 def _list_names(simulation: LiveSimulation) -> tuple[str, ...]:
-    """List the names of cables and of strings in no cable."""
+    """List the names of a simulation's cables and of strings in no cable."""
     structure = simulation.model.scene.structure
     strings = list_names(structure, "string", len(structure.strings))
     inputs = zip(name_inputs(structure), select_first(structure.cable_of), strict=True)
@@ -174,7 +174,10 @@ def _by_length(simulation: LiveSimulation) -> bool:
 
 
 def _choose_range(simulation: LiveSimulation, own: Array) -> tuple[float, float]:
-    """Choose the range of a slider for strings with initial values `own`."""
+    """Choose the range of a slider for strings with initial values `own`.
+
+    The values are rest lengths [m] or force densities [N/m] (k,).
+    """
     largest = float(own.max())
     if _by_length(simulation):
         low, high = _RANGES["rest length"]
@@ -195,7 +198,7 @@ def _round(value: float, way: Any) -> float:
 def _group_equal(simulation: LiveSimulation) -> dict[str, tuple[int, ...]]:
     """Group strings of equal length and equal control.
 
-    The keys are the names of the groups.
+    The keys are the names of the groups, and the values the indices of strings.
     """
     start, structure = simulation.start_control, simulation.model.scene.structure
     count = len(start)

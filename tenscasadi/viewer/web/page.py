@@ -47,7 +47,10 @@ _CLOSE = 'if (innerWidth < 600) document.getElementById("shown").open = false;'
 
 
 def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
-    """Record all frames of a canvas as an HTML page."""
+    """Record all frames of a canvas as an HTML page.
+
+    `speed` is in simulated seconds per second. `server` is the viewer's server.
+    """
     times = choose_frame_times(canvas.content, speed, FRAME_RATE)
     for layer in canvas.layers:
         layer.grain = 3e-5 * canvas.content.size  # a small part of a pixel
@@ -63,7 +66,10 @@ def record_page(server: viser.ViserServer, canvas: Canvas, speed: float) -> str:
 
 
 def add_panel(page: str, canvas: Canvas, title: str, speed: float) -> str:
-    """Add a panel with title, time, legend and charts to a page."""
+    """Add a panel with title, time, legend and charts to an HTML page.
+
+    `speed` is in simulated seconds per second.
+    """
     start, duration = canvas.content.start, canvas.content.end - canvas.content.start
     clock = script = ""
     if duration > 0:

@@ -162,9 +162,9 @@ def _is_local(host: str) -> bool:
 
 
 def _find_port(host: str, port: int | None) -> int:
-    """Check the port, or find the first free one.
+    """Check the port of a host, or find the first free one.
 
-    Raises OSError.
+    None selects a free port. Raises OSError.
 
     viser itself would search without end if there is no such address.
     """
@@ -234,10 +234,10 @@ def _extend_page(response: Any) -> Any:
 
 
 def refuse_request(path: str, headers: Any, local: bool) -> str:
-    """Explain why a request is rejected.
+    """Explain why a request for a path is rejected.
 
-    Returns "" if it is accepted. If the server is `local`, the page must address it by a name of
-    this machine.
+    Returns "" if it is accepted. `headers` are those of the HTTP request. If the server is `local`,
+    the page must address it by a name of this machine.
     """
     host, origin = headers.get("Host") or "", headers.get("Origin")
     try:
@@ -262,7 +262,7 @@ def _is_loopback(name: str) -> bool:
 
 
 def _restrict(connection: Any) -> None:
-    """Remove the handlers of all messages that are not accepted."""
+    """Remove a connection's handlers of all messages that are not accepted."""
     handlers = connection._incoming_handlers
     for kind in list(handlers):
         if kind.__name__ not in _ACCEPTED:
