@@ -347,7 +347,8 @@ def _stiffness(model: Model, state: Array, inputs: Array) -> tuple[Any, Any, Any
 def _neutral(K: Array, motions: Array) -> Array:
     """Find combinations of displacements without a restoring force.
 
-    K is the stiffness. The result is an orthonormal basis; `motions` are columns.
+    K is the stiffness (nq, nq). The result is an orthonormal basis; its vectors and `motions` are
+    columns.
     """
     basis = scipy.linalg.orth(motions) if motions.size else motions
     _, size, right = np.linalg.svd(K @ basis)
@@ -375,7 +376,8 @@ def _find_rigid_motions(model: Model, state: Array) -> Array:
 def _project_motions(motions: Array, outside: Array) -> Array:
     """Find the rigid-body motions that satisfy all constraints.
 
-    `outside` are the constraint violations of each motion, due to pins in full coordinates.
+    `motions` (nq, k) are columns to combine. `outside` (m, k) are the constraint violations of each
+    motion, due to pins in full coordinates.
     """
     return (
         np.asarray(motions @ scipy.linalg.null_space(outside, rcond=1e-9))

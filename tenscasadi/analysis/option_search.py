@@ -120,8 +120,8 @@ class Choice:
 def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Choice:
     """Simulate a case once and measure the position error.
 
-    `step` is the step [s] or rtol, and `price` the cost of a step. The error is infinite if the run
-    fails. A sufficient choice becomes `goal.found` before its time is measured.
+    `step` is the step [s] or rtol, and `price` the cost of steps and seconds. The error is infinite
+    if the run fails. A sufficient choice becomes `goal.found` before its time is measured.
     """
 
     def run(**options: Any) -> Trajectory:
@@ -147,8 +147,8 @@ def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Cho
 def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
     """Find about the largest rtol of a case with sufficient accuracy.
 
-    The error is at most `goal.wanted`. `price` is the cost of a step. Returns None if it costs
-    `most` instructions or more.
+    The error is at most `goal.wanted`. `price` is the cost of steps and seconds. Returns None if it
+    costs `most` instructions or more.
     """
     best: Choice | None = None
     wanted, expected = goal.wanted, 0.0
@@ -181,8 +181,8 @@ def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -
 def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
     """Find about the smallest number of equal steps with sufficient accuracy.
 
-    The steps are those of a case, and the error is at most `goal.wanted`. `price` is the cost of a
-    step. Returns None if they cost `most` instructions or more.
+    The steps are those of a case, and the error is at most `goal.wanted`. `price` is the cost of
+    steps and seconds. Returns None if they cost `most` instructions or more.
     """
     wanted = goal.wanted
     limit = np.ceil(most / price.step) - 1 if price.step else np.inf

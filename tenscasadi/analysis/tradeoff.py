@@ -264,7 +264,8 @@ class Case:
 def start_of(model: Model, state: State) -> Array | None:
     """Return the initial state (nx,) of a model.
 
-    `state` can be a function of the model. Raises TypeError, ValueError.
+    `state` can be a function of the model. None means the model's own initial state. Raises
+    TypeError, ValueError.
     """
     value = (
         call_user_function(
@@ -281,9 +282,8 @@ def _measure_rows(
 ) -> Iterable[TradeoffRow]:
     """Yield a row of the study for each step length.
 
-    The lengths are in s, and the scheme has a name. Errors are those to the `reference`. The
-    shortest of several times (`repeats`) counts. The time of a step and the set-up are measured
-    once.
+    The lengths are in s, and the scheme has a name. Errors are those to the `reference`. Times are
+    measured in as many runs as `repeats`. The time of a step and the set-up are measured once.
     """
     empty = TradeoffRow(
         case.scheme,

@@ -398,10 +398,7 @@ def abbreviate(value: Any, without: str = "") -> str:
 
 
 def _check_kinds(value: TradeoffRow | Tradeoff) -> None:
-    """Check the types of the fields of a row or a table.
-
-    Raises TypeError, ValueError.
-    """
+    """Check the types of a row's or table's fields. Raises TypeError, ValueError."""
     for field in fields(value):
         name, given = f"{type(value).__name__}.{field.name}", getattr(value, field.name)
         if field.type == "float" and real_array(name, given, "a number").ndim:

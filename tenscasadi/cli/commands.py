@@ -29,7 +29,7 @@ from tenscasadi.util.validate import positive_number
 
 
 def find_fields() -> Any:
-    """Return the fields of the table [simulation]."""
+    """Return the fields of the table [simulation], from which options follow."""
     return SIMULATION.fields
 
 
@@ -257,7 +257,10 @@ def _describe_members(structure: Structure) -> list[str]:
 
 
 def _find_equilibrium(structure: Structure) -> tuple[Any, str]:
-    """Compute and describe the force densities (α,) without loads."""
+    """Compute and describe the force densities (α,) without loads [N/m].
+
+    They are NaN if there is no equilibrium.
+    """
     if not len(structure.strings):
         return np.zeros(0), "equilibrium   no strings"
     try:

@@ -56,14 +56,14 @@ class PrestressProgram(NamedTuple):
         return found._replace(x=found.x * self.scale)
 
     def softest(self, p: Array) -> tuple[Array, Array]:
-        """Compute the smallest stiffnesses [N/m] and their modes.
+        """Compute the smallest stiffnesses [N/m] and their modes, as columns.
 
-        They are those of the structure with force densities p.
+        They are those of the structure with force densities p (u,) [N/m].
         """
         return self.stiffness.softest(self.basis @ p, SOFTEST)
 
     def fit(self, p: Array, up: bool) -> Array:
-        """Scale force densities p so that limits hold.
+        """Scale force densities p (u,) so that limits hold.
 
         Without `up`, p is reduced to satisfy all upper limits. With `up`, p is scaled such that all
         lower limits are satisfied and one is active. This removes the rounding error of a solver.
@@ -80,7 +80,10 @@ class PrestressProgram(NamedTuple):
         return p * float(ratio.max() if up else min(ratio.min(), 1.0))
 
     def in_units(self) -> tuple[LinearRows, LinearRows]:
-        """Divide the constraints' right-hand sides by the typical force density."""
+        """Divide the constraints' right-hand sides by the typical force density.
+
+        Returns the equations, then the inequalities.
+        """
         equal, below = self.equal, self.below
         return LinearRows(equal.A, equal.b / self.scale), LinearRows(below.A, below.b / self.scale)
 

@@ -163,7 +163,7 @@ class TangentStiffness:
 
     @cached_property
     def _others(self) -> Indices:
-        """Free coordinates except a few whose fixing excludes rigid motions."""
+        """Indices of free coordinates, except a few that fix rigid motions."""
         order = qr(self.rigid_body.T, mode="r", pivoting=True)[1]
         return np.sort(order[self.rigid_body.shape[1] :])
 

@@ -43,7 +43,7 @@ def grid_spacing(size: float, lines: int = STYLE.grid_lines) -> float:
 
 
 def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
-    """Find the corners of the visible box [m].
+    """Find the corners `low` and `high` (3,) of the visible box [m].
 
     It contains all motions and obstacles, the height fields below and above them, and planes that
     are not too far away. The margin is relative to the size of the content.

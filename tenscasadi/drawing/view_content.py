@@ -137,7 +137,7 @@ class Motion:
         return float(self.time[-1])
 
     def row_at(self, time: float) -> int:
-        """Find the last row at or before a time."""
+        """Find the index of the last row at or before a time [s]."""
         row = np.searchsorted(self.time, time, side="right") - 1
         return int(np.clip(row, 0, len(self.time) - 1))
 
@@ -243,7 +243,7 @@ class ViewContent:
 
     @cached_property
     def corners(self) -> tuple[Array, Array]:
-        """Corners of a box around all trajectories [m].
+        """Opposite corners, each (3,), of a box around all trajectories [m].
 
         Outliers are ignored, such as the nodes of a trajectory that diverged.
         """

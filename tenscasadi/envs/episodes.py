@@ -196,7 +196,7 @@ class Episodes:
     def _inputs(self, action: Array) -> Array:
         """Build the inputs (n, intervals, nw) of one period.
 
-        The actions are (n, actions) from −1 to 1. Rest lengths change in every step.
+        The actions are (n, nu) from −1 to 1. Rest lengths change in every step.
         """
         task, model = self.task, self.task.model
         n, pieces = len(action), task.steps if task.controls_rest_lengths else 1

@@ -26,7 +26,7 @@ class Renderer(Protocol):
     """Interface of displays that draw one frame after another."""
 
     def draw(self, frame: Frame) -> Any:
-        """Draw a frame."""
+        """Draw a frame, and return its picture if there is one."""
 
     def close(self) -> None:
         """Release the resources of the display."""

@@ -261,8 +261,8 @@ def _build(
 ) -> Structure:
     """Build a structure, set its rest lengths, and move it into place.
 
-    `build` is called with the arguments `given`, and `table` contains further fields of the file's
-    table `item`. Raises SceneFileError.
+    `build` is called with the arguments `given`. `table` contains the entries of the file's table
+    `item`, and `groups` those of member groups by property. Raises SceneFileError.
     """
 
     def make(function: Callable[..., Structure], **fields: Any) -> Structure:

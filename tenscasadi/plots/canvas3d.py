@@ -130,7 +130,7 @@ class Canvas3D:
             axes.set_box_aspect(tuple(self._half), zoom=zoom)
 
     def label(self, nodes: Array, names: Sequence[str]) -> None:
-        """Write the name of each node beside it, outward and up."""
+        """Write the name of each node (n, 3) beside it, outward and up."""
         middle = nodes.mean(axis=0)
         reach = np.linalg.norm(nodes - middle, axis=1).max(initial=0.0)
         camera = self._camera_direction()

@@ -116,7 +116,7 @@ def group_curves(values: Array) -> Groups:
 
 
 def _choose_colors(chart: Chart, groups: Groups) -> list[str]:
-    """Choose the color of each group of a chart's equal curves.
+    """Choose the color of each group of nearly equal curves.
 
     It is that of its first curve if there are few curves.
     """

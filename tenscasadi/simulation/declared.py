@@ -232,7 +232,7 @@ class Simulation:
         )
 
     def _rows(self, name: str) -> Array:
-        """Read positions or velocities of all nodes.
+        """Read positions or velocities (n, 3) of all nodes.
 
         `name` is "positions" or "velocities".
         """

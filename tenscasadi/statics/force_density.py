@@ -133,7 +133,8 @@ def _balance(
 ) -> tuple[Array | None, Array]:
     """Find the smallest force densities, with one tension in each cable.
 
-    The arguments `strings` to `bounded` and the result are those of `least_force_density`.
+    The arguments `strings` to `bounded` and the result are those of `least_force_density`, which
+    may have None for the force densities.
     """
     if not structure.cables:
         return least_force_density(strings, bars, w, least, bounded)

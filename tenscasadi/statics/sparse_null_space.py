@@ -98,10 +98,11 @@ def split_spaces(R: Array, zero: float) -> tuple[Array, Array]:
 
 
 def _expand(alone: Indices, blocks: list[tuple[Indices, Array, Array]], columns: int) -> Array:
-    """Assemble the null vectors by backward recursion over the blocks.
+    """Assemble the null vectors, as rows, by backward recursion over the blocks.
 
     A block has its column indices in A, and two matrices: those by which the vectors of the next
-    block extend to these columns, and additional null vectors. `alone` are the zero columns of A.
+    block extend to these columns, and additional null vectors. `alone` are the zero columns of A,
+    and `columns` is the number of all its columns.
     """
     begin = len(alone) + sum(null.shape[1] for _, _, null in blocks)
     basis = np.zeros((begin, columns))

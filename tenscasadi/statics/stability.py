@@ -332,7 +332,10 @@ def find_overload(source: Structure | Scene | Model | Equilibrium, state: Prestr
 
 
 def _read_source(source: Any) -> tuple[Any, Any]:
-    """Return the scene or model of a source, and its initial nodes."""
+    """Return the scene or model of a source, and its initial nodes.
+
+    These are an equilibrium, or None for the nodes of the scene.
+    """
     if isinstance(source, Equilibrium):
         return source.source, source
     if isinstance(source, Structure):

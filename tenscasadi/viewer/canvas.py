@@ -119,7 +119,7 @@ class Layer:
             batch.batched_colors = colors
 
     def _draw_hulls(self, nodes: Array) -> None:
-        """Move the hulls of rigid bodies with their nodes."""
+        """Move the hulls of rigid bodies with their nodes (n, 3) [m]."""
         start = self.shapes.motion.nodes[0]
         for k, hull in enumerate(self.shapes.hulls):
             own = np.unique(hull)
@@ -284,7 +284,7 @@ class Canvas:
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
-        """Convert structure coordinates to coordinates of the drawn meshes [m]."""
+        """Convert structure coordinates (…, 3) to those of the drawn meshes [m]."""
         return np.asarray(position, dtype=float) + self._shift
 
 

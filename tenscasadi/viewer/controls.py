@@ -68,7 +68,7 @@ class ViewControls:
         self._add_box("Shadows", self.canvas.shaded, self.canvas.cast_shadows, hint)
 
     def add_visibility(self) -> None:
-        """Add check boxes that show and arrange several trajectories."""
+        """Add check boxes that show, hide and place several trajectories."""
         if len(self.canvas.layers) > 1:
             hint = "show the motions beside each other"
             self._add_box("Side by side", self.canvas.apart, self._arrange, hint)

@@ -150,7 +150,10 @@ class Player:
         self._runner.do(order)
 
     def _advance(self) -> float | None:
-        """Show the next frame; after the end, the first one again."""
+        """Show the next frame; after the end, the first one again.
+
+        Returns the time until the next call [s]; None while paused.
+        """
         now = clock.perf_counter()
         passed, self._before = now - self._before, now
         if not self.playing:

@@ -71,7 +71,7 @@ class Sections(NamedTuple):
 
     @property
     def mass_per_area(self) -> Array:
-        """Mass of each member divided by its area [kg/m²]."""
+        """Mass (members,) of each member divided by its area [kg/m²]."""
         return self.density * self.lengths
 
     def needed_for_yield(self, force: Array) -> Array:

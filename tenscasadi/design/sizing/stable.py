@@ -142,7 +142,7 @@ class StableSizing:
         return of_members, np.vstack([nothing, held @ tangent.free.T])
 
     def _linearize(self, area: Array) -> list[_Response]:
-        """Linearize the force changes of all load cases in the areas.
+        """Linearize the force changes of all load cases in the areas (members,) [m²].
 
         The first case is without loads.
         """
@@ -187,7 +187,8 @@ class StableSizing:
     def _minimize(self, area: Array, states: list[_Response]) -> tuple[Array, Array] | None:
         """Minimize the mass over areas and prestress.
 
-        The force changes due to loads are given by `states`.
+        The force changes due to loads are linearized about the areas (members,) [m²], and given by
+        `states`. Returns areas and prestress; None if there is no solution.
         """
         sections, members = self.program.sections, self.program.members
         known = [state.at(area)[:members] for state in states]

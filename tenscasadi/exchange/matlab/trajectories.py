@@ -38,7 +38,7 @@ class ForeignTrajectory(NamedTuple):
     force_density: Array | None
 
     def select(self, columns: Indices) -> ForeignTrajectory:
-        """Select the nodes with given columns of N.
+        """Select the nodes with given columns of N, zero-based.
 
         Raises ValueError.
         """

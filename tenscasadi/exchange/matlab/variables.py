@@ -80,9 +80,9 @@ def read_pairs(key: str, value: Any, count: int) -> Indices:
 
 
 def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
-    """Convert lists of indices to a matrix for MATLAB.
+    """Convert lists of indices to a matrix for MATLAB, one list a row.
 
-    Its rows count from 1 and are padded with zeros.
+    Its indices count from 1 and its rows are padded with zeros.
     """
     table = np.zeros((len(rows), max(map(len, rows), default=0)))
     for own, row in zip(table, rows, strict=True):

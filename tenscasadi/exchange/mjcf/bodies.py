@@ -115,7 +115,7 @@ class Bodies:
         return ((k, piece) for k, piece in enumerate(self.pieces) if k and k not in self._merged)
 
     def find_body(self, element: Element, attribute: str) -> tuple[int, Pose]:
-        """Find piece and frame of the body that an attribute names.
+        """Find index of piece, and frame, of the body that an attribute names.
 
         The default is the world. Raises SceneFileError.
         """

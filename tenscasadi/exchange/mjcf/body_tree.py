@@ -179,11 +179,11 @@ class _TreeBuilder:
 
 
 def inverse_weights(s: Structure, tree: BodyTree) -> Array:
-    """Compute the inverse effective mass of each bar [1/kg].
+    """Compute the inverse effective mass of each bar (β,) [1/kg].
 
     It is the acceleration of the midpoint per unit force, averaged over all directions: 1/m for a
-    single bar. As in MuJoCo, loop-closing constraints are ignored. Raises ValueError if a tree has
-    too many bars.
+    single bar. As in MuJoCo, loop-closing constraints are ignored. `tree` is MuJoCo's tree of the
+    bars. Raises ValueError if a tree has too many bars.
     """
     found = np.zeros(len(s.bars))
     roots = [k for k, link in enumerate(tree.links) if link.parent is None]

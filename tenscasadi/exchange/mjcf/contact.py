@@ -146,8 +146,9 @@ def ground_numbers(
     """Compute parameters of a `Ground` from MuJoCo's contact attributes.
 
     They are stiffness, damping, friction and slip speed. `solref` and `solreffriction` (2,) are
-    MuJoCo's attributes in normal and tangential direction. `inverse` is the inverse mass [1/kg],
-    and `standing` the load on one supporting node [N].
+    MuJoCo's attributes in normal and tangential direction. `friction` is the coefficient, None
+    without friction. `inverse` is the inverse mass [1/kg], and `standing` the load on one
+    supporting node [N].
     """
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {

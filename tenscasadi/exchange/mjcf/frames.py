@@ -40,7 +40,7 @@ class Pose(NamedTuple):
     turn: Array
 
     def at(self, point: Array) -> Array:
-        """Transform a point from this frame to the outer frame."""
+        """Transform a point (3,) [m] from this frame to the outer frame."""
         return np.asarray(self.place + self.turn @ point)
 
     def within(self, outer: Pose) -> Pose:
@@ -86,7 +86,7 @@ def _read_rotation(element: Element, name: str, units: Units) -> Array:
 
 
 def rotate_z_to(direction: Array) -> Array:
-    """Compute the smallest rotation from z to a unit direction."""
+    """Compute the rotation matrix of least angle from z to a unit direction."""
     axis = np.cross([0, 0, 1], direction)
     sine = float(np.linalg.norm(axis))
     if sine <= 1e-10:

@@ -44,7 +44,7 @@ class Locator(Protocol):
     """Interface that finds nodes and bars of the imported scene."""
 
     def find_node(self, piece: int, point: Array) -> int | None:
-        """Find the node at a point of a rigid piece."""
+        """Find the node at a point (3,) [m] of a rigid piece, or None."""
 
     def find_bar(self, piece: int, rod: RodGeom) -> int | None:
         """Find the bar that a geom covers with its radius.
@@ -62,7 +62,8 @@ def read_contacts(
 ) -> tuple[list[Ground], BarContact | None]:
     """Read the grounds and the bar contact of a file.
 
-    `root` is its root element, and `defaults` are its default attributes. Raises SceneFileError.
+    `root` is its root element, and `defaults` are its default attributes. The bar contact is None
+    if there is none. Raises SceneFileError.
     """
     pairs, apart = _read_pairs(root, bodies, defaults)
     return (

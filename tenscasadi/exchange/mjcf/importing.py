@@ -308,7 +308,10 @@ class _SceneBuilder:
         return cables if order is None else [cables[k] for k in order]
 
     def _find_supports(self) -> tuple[dict[int, str], dict[int, Array]]:
-        """Find pinned nodes, and the normals of rollers."""
+        """Find pinned nodes, and the normals of rollers, by node.
+
+        Pins are axes such as "xyz", and normals are (·, 3).
+        """
         ends = self.ends
         pinned = {self.nodes[ends.node(end)]: "xyz" for end in ends.pinned}
         rollers: dict[int, Array] = {}

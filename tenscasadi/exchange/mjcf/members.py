@@ -137,7 +137,7 @@ class PieceEnds:
         )
 
     def find(self, piece: int, point: Array) -> Endpoint | None:
-        """Find the endpoint of a piece at a point, or None."""
+        """Find the endpoint of a piece at a point (3,) [m], or None."""
         ends = self.points[piece]
         if not ends:
             return None
@@ -147,10 +147,10 @@ class PieceEnds:
         return Endpoint(piece, nearest) if found else None
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Endpoint:
-        """Find the endpoint of a piece at a point.
+        """Find the endpoint of a piece at a point (3,) [m].
 
-        In the world it is added if necessary. Raises SceneFileError if a moving piece has no
-        endpoint there.
+        In the world it is added if necessary. Raises SceneFileError, which names `element`, if a
+        moving piece has no endpoint there.
         """
         found = self.find(piece, point)
         if found is None and piece == _WORLD:
@@ -396,7 +396,7 @@ def _is_node(site: str) -> bool:
 
 
 def _find_extremes(points: list[Array]) -> Array:
-    """Find the two points with the largest distance."""
+    """Find the two points (2, 3) with the largest distance."""
     every = np.array(points)
     distances = np.linalg.norm(every[:, None] - every, axis=2)
     return every[list(np.unravel_index(np.argmax(distances), distances.shape))]

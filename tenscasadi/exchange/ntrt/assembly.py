@@ -52,7 +52,7 @@ class Assembly:
         return [node for part in self.whole() for node in part.nodes]
 
     def center(self) -> Array:
-        """Compute the mean position of all nodes."""
+        """Compute the mean position (3,) of all nodes."""
         return np.asarray(np.mean([node.at for node in self.all_nodes()], axis=0))
 
     def transform(self, change: Callable[[Array], Array]) -> None:
@@ -101,7 +101,7 @@ def rotate(axis: Array, angle: float) -> Array:
 
 
 def rotate_between(a: Array, b: Array, fallback: Array) -> Array:
-    """Compute the smallest rotation from direction a to b.
+    """Compute the rotation matrix of least angle from direction a to b.
 
     If they are opposite, it is a half turn about `fallback`.
     """

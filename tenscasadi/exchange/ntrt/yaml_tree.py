@@ -91,7 +91,7 @@ class YamlEntry:
         return found
 
     def vector(self) -> Array:
-        """Read three finite numbers."""
+        """Read three finite numbers (3,)."""
         return np.array([part.number() for part in self.parts(3)])
 
     def format(self) -> str:

@@ -198,7 +198,7 @@ class Loop:
         self.pending = self._find_pending()
 
     def _find_pending(self) -> int | None:
-        """Find the saved row whose next correction is still to come.
+        """Find the saved row whose next correction is still to come, or None.
 
         Its effect is recorded with the row, also if the row was saved in an earlier time slice.
         """
@@ -238,7 +238,7 @@ class Loop:
         self._leave()
 
     def _count_joined(self) -> int:
-        """Count the intervals that a march takes together.
+        """Count the intervals that one call of `_march` can advance through.
 
         Those of one run are all together unless the state is changed or read between them.
         """

@@ -113,14 +113,17 @@ class Runs(NamedTuple):
         return int(total if not status else rolled.good[k] if status < STOPPED else rolled.fault[k])
 
     def saved_steps(self, k: int) -> Indices:
-        """Find the step numbers of the valid saved rows of run k."""
+        """Find the step numbers (T,) of the valid saved rows of run k."""
         last, every = self.last_step(k), self.request.every
         lost = 0 < self.rolled.status[k] < STOPPED
         steps = np.arange(0, last + 1, every)
         return steps if lost or steps[-1] == last else np.append(steps, last)
 
     def times(self, steps: Any) -> Array:
-        """Compute times at the start of steps [s]."""
+        """Compute the times (T,) at the start of steps [s].
+
+        `steps` are step numbers (T,).
+        """
         return self.request.inputs.grid.times(np.asarray(steps))
 
 

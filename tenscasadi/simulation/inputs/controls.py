@@ -70,7 +70,7 @@ class Controls(NamedTuple):
     def hold(self, grid: Grid) -> tuple[Grid, Array]:
         """Replace piecewise-linear controls by their mean in each step.
 
-        Returns the time grid and the control of its rows.
+        Returns the time grid and the control (n or 1, K, nu) of its rows.
         """
         if not self.linear:
             return grid, self.values

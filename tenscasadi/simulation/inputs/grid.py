@@ -95,11 +95,11 @@ class Grid:
 
     @property
     def intervals(self) -> Intervals:
-        """Intervals of the grid in the form that the time loop takes."""
+        """Intervals of the grid as arguments of the time loop."""
         return Intervals(self.rows, self.counts, self.lengths)
 
     def times(self, steps: Indices) -> Array:
-        """Compute the start times of steps [s].
+        """Compute the start times of steps [s] from step numbers.
 
         The step number `self.steps` denotes the end of the run.
         """
@@ -111,7 +111,7 @@ class Grid:
         return np.where(steps == self.steps, self.t_end, times)
 
     def locate(self, steps: Indices) -> Indices:
-        """Find the interval of each step.
+        """Find the number of the interval that contains each step.
 
         Steps past the end belong to the last interval.
         """

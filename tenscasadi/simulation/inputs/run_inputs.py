@@ -111,9 +111,9 @@ class RunInputs(NamedTuple):
         return total
 
     def append_clock(self, time: Array, states: Array) -> Array:
-        """Append the clock to states if the control depends on time.
+        """Append the clock to states (T, ·) if the control depends on time.
 
-        `time` [s] counts from the start.
+        `time` (T,) [s] counts from the start.
         """
         if states.shape[1] == self.model.nx:
             return states
@@ -222,10 +222,7 @@ def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
 
 
 def _stack_rows(rows: list[Array], size: int) -> Array:
-    """Stack arrays as rows; one row if all are the same object.
-
-    Rows have `size` entries.
-    """
+    """Stack arrays as rows (k, size); one row if all are the same object."""
     kept = rows[:1] if all(row is rows[0] for row in rows) else rows
     return np.array(kept).reshape(len(kept), size)
 

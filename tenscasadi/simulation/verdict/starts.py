@@ -54,7 +54,7 @@ def start_violations(model: Model, starts: Array) -> Array:
 
 
 def constraint_violation(model: Model, state: Array) -> float:
-    """Compute the relative constraint violation of a state.
+    """Compute the relative constraint violation of a state (nx,).
 
     See `start_violation`.
     """
@@ -70,7 +70,7 @@ def describe_violation(violation: float) -> str:
 
 
 def off_constraints(model: Model, state: Array, tolerance: float) -> str:
-    """Describe the constraint violation of a state and the cure.
+    """Describe the constraint violation of a state (nx,) and the cure.
 
     "" if it is within `tolerance`.
     """

@@ -50,7 +50,10 @@ class SaddlePoint:
             raise np.linalg.LinAlgError(str(error)) from None
 
     def solve(self, f: Array, g: Array | None = None) -> tuple[Array, Array]:
-        """Solve A v + Jᵀ μ = f, J v = g for v and μ."""
+        """Solve A v + Jᵀ μ = f, J v = g for v and μ.
+
+        Without g the lengths are fixed, J v = 0.
+        """
         target = np.concatenate([f, np.zeros((self.rows, *f.shape[1:])) if g is None else g])
         scale = self.scale.reshape(-1, *[1] * (f.ndim - 1))
         target = target * scale

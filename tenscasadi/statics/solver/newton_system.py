@@ -266,7 +266,10 @@ class NewtonSystem:
 
     @cached_property
     def _ordered(self) -> tuple[Indices, SparsePattern]:
-        """Order of elimination, and the sparsity pattern in this order."""
+        """Position of each unknown in the order of elimination, and the pattern.
+
+        The pattern has the nonzeros of the Newton matrix in this order.
+        """
         size, total = self.size, self.size + self.rigid
         bars = self._lengthening.shift(row=size)
         diagonal = np.arange(total)
@@ -366,7 +369,7 @@ class NewtonFactors:
         return np.asarray(self.factors.solve(self._load_bars(g))[self.order[: self.size]])
 
     def _load_bars(self, g: Array) -> Array:
-        """Build the right-hand side for given elongations g of rigid bars.
+        """Build the right-hand side for given elongations g (rigid bars,) [m].
 
         The penalty acts on them, too.
         """

@@ -62,7 +62,7 @@ class Conditions(NamedTuple):
 
     @property
     def instant(self) -> tuple[Array, Array]:
-        """Slip distance and time, as arguments of CasADi Functions."""
+        """Slip distance [m] and time [s], as arguments of CasADi Functions."""
         return np.array([self.slip]), np.array([self.time])
 
 
@@ -202,7 +202,7 @@ class StaticEquations:
         return normals
 
     def displace(self, nodes: Array, y: Array) -> Array:
-        """Displace nodes by free coordinates y."""
+        """Displace nodes (n, 3) by changes y (free,) of the free coordinates [m]."""
         return np.asarray(nodes + (self.free @ y).reshape(nodes.shape))
 
     def at(self, nodes: Array, given: Conditions) -> StaticPoint:
@@ -296,7 +296,10 @@ class StaticEquations:
 
     @cached_property
     def load_pattern(self) -> tuple[Indices, Indices]:
-        """Rows and columns of the nonzeros in `StaticPoint.load_slopes`."""
+        """Rows and columns of the nonzeros in `StaticPoint.load_slopes`.
+
+        Both count coordinates, three for each node.
+        """
         patterns = [self._load_function.sparsity_out(k).get_triplet() for k in (2, 3)]
         rows, columns = (
             np.concatenate([np.array(pattern[k], dtype=np.intp) for pattern in patterns])

@@ -234,7 +234,12 @@ class _SearchState:
                 raise StalledError("no step lowers the energy any more")
 
     def _solve_model(self) -> tuple[NewtonFactors, Array, Array]:
-        """Minimize the quadratic model within the trust region."""
+        """Minimize the quadratic model within the trust region.
+
+        Returns the factors of the shifted stiffness, the displacements (free,) [m], and the changes
+        of the tensions of rigid bars (β_r,) [N]. Raises StalledError if the stiffness is not
+        finite.
+        """
         low, high, shift = 0.0, np.inf, max(self.floor, 0.3 * self.shift)
         found = None
         for _ in range(60):

@@ -144,7 +144,7 @@ class Live(Served):
     def _advance(self) -> float | None:
         """Simulate the ticks that are due, and show the present state.
 
-        Returns the time until the next call [s].
+        Returns the time until the next call [s]; None if none is due.
         """
         failed = bool(self.simulation.fault)
         ticks = self._simulate() if self.panel.running and not failed else 0

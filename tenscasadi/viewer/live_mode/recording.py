@@ -18,7 +18,7 @@ class Recording:
     width : int
         Numbers per row.
     bytes_ : float
-        Memory.
+        Memory [bytes].
     """
 
     def __init__(self, width: int, bytes_: float = 2e8) -> None:
@@ -50,5 +50,5 @@ class Recording:
             )
 
     def rows(self) -> tuple[Indices, Array]:
-        """Return the recorded ticks (T,) and rows (T, width)."""
+        """Return the numbers of recorded ticks (T,) and the rows (T, width)."""
         return np.array(self._ticks), np.array(self._rows)

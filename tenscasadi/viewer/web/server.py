@@ -39,7 +39,7 @@ class OpenToNetwork(UserWarning):
 
 
 def import_viser() -> Any:
-    """Import viser, or raise ImportError with the cure."""
+    """Import and return viser, or raise ImportError with the cure."""
     try:
         import viser
         import viser.infra
