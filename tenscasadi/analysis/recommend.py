@@ -100,7 +100,7 @@ class Recommendation:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Keywords for `simulate`."""
+        """Keywords for `simulate` by name, such as `scheme` and `step`."""
         return {"scheme": self.scheme, "step": self.step, "correction": self.correction}
 
 

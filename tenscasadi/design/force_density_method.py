@@ -92,7 +92,8 @@ def adapt_force_densities(
 
     Its force-density matrix D then has rank n − d − 1. In each step, Newton's method makes D vanish
     to first order on d + 1 of its eigenvectors. These are the eigenvectors nearest to the span of
-    the structure's coordinates (`near`), or those of the smallest eigenvalues.
+    the structure's coordinates (`near`), or those of the smallest eigenvalues. `start` (u,) is the
+    initial guess of the unknown force densities p [N/m].
 
     Returns
     -------

@@ -100,8 +100,8 @@ class TangentStiffness:
     def at(self, q: Array, stiffness: Array | None = None) -> Any:
         """Compute the tangent stiffness K for given force densities.
 
-        K (free coordinates, free coordinates) and q (μ,) are in N/m. `stiffness` replaces that of
-        all units.
+        K (free coordinates, free coordinates) and q (μ,) are in N/m. `stiffness` (units,) [N/m]
+        replaces that of all units, which are cables, strings in no cable, and bars.
         """
         k = self.stiffness if stiffness is None else stiffness
         k = np.where(self.stiffness > 0.0, k, 0.0)
@@ -119,7 +119,7 @@ class TangentStiffness:
     def reduce(self, motions: Array) -> tuple[Array, Array]:
         """Project the stiffness of each member onto given modes.
 
-        The modes are columns (free coordinates, r).
+        The modes are columns of `motions` (free coordinates, r).
 
         Returns
         -------

@@ -85,7 +85,7 @@ def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
 
 
 def find_box_edges(box: tuple[Array, Array], low: Array, high: Array) -> Array:
-    """Find the visible edges (k, 2, 3) of a box.
+    """Find the visible edges (k, 2, 3) of a box between two corners (3,).
 
     Sides at infinity are omitted. Edges that lead there end outside the view, which is the box from
     `low` to `high`.

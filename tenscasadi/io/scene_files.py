@@ -121,7 +121,7 @@ def read_scene(document: Document) -> Scene:
 
 @singledispatch
 def write_tables(value: Any) -> dict[str, Any]:
-    """Convert a scene or a simulation to tables of a scene file.
+    """Convert a scene or a simulation (`value`) to tables of a scene file.
 
     Raises NotWritten, TypeError.
     """

@@ -301,7 +301,8 @@ def read_state(
 ) -> tuple[PrestressedState, Structure]:
     """Read nodes and member forces of a structure, scene or equilibrium.
 
-    The arguments are those of `stability`. Raises TypeError, ValueError.
+    The arguments are those of `stability`. Also returns the structure with the modeled nodes.
+    Raises TypeError, ValueError.
     """
     scene, start = _read_source(source)
     nodes, given = read_problem(scene, start, None, parameters)

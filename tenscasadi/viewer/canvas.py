@@ -258,7 +258,10 @@ class Canvas:
         return bool(len(self.layers[0].shapes.joints))
 
     def color_by(self, quantity: str) -> None:
-        """Color strings by a quantity, with one scale for all times."""
+        """Color strings by a quantity, with one scale for all times.
+
+        The quantity is "tension" or "force density".
+        """
         self.quantity, first = quantity, self.content.motions[0]
         values = first.tension if quantity == "tension" else first.force_density
         has_forces = values is not None and np.any(np.nan_to_num(values))

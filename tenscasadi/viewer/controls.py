@@ -128,7 +128,7 @@ class ViewControls:
             self._legend.content = build_legend(self.canvas)
 
     def color_by(self, quantity: str) -> None:
-        """Color strings by a quantity.
+        """Color strings by a quantity, "tension" or "force density".
 
         Unknown quantities, which a page can send, are ignored.
         """

@@ -150,7 +150,7 @@ def _build_physical(structure: Structure) -> dict[str, Any]:
 
 
 def _build_cables(structure: Structure) -> dict[str, Any]:
-    """Build the cables, and the matrix S of CTSFEM."""
+    """Build the variables of cables by name, with the matrix S of CTSFEM."""
     units = find_units(structure)
     unit = np.roll(units, len(structure.bars))  # of bars, then of strings
     rows = np.roll(np.unique(units), len(structure.bars))

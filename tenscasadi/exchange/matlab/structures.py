@@ -230,7 +230,7 @@ def _build(source: Source, variables: Variables, options: Variables) -> ParsedSt
 def _lump_string_mass(source: Source, structure: Structure) -> Structure:
     """Move string masses to the ends if free nodes have no other mass.
 
-    A strict import does not.
+    A strict import leaves them to the strings.
     """
     s = structure
     has_mass = s.node_mass > 0

@@ -35,6 +35,8 @@ class Piece:
         Whether it moves freely.
     welded : bool
         Whether it consists of several that are fixed to each other by equalities.
+    masses, geoms : list
+        Mass properties and shapes of its parts.
     """
 
     element: Element
@@ -137,7 +139,8 @@ class Bodies:
     def weld(self, one: int, other: int, element: Element) -> None:
         """Merge two pieces into the one with the lower index.
 
-        One of them must be free, because the other keeps its joint. Raises SceneFileError.
+        `one` and `other` are their indices. One of them must be free, because the other keeps its
+        joint. Raises SceneFileError, which names `element`.
         """
         kept, merged = sorted((one, other))
         if kept == merged:

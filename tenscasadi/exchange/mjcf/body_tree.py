@@ -198,7 +198,10 @@ def inverse_weights(s: Structure, tree: BodyTree) -> Array:
 
 
 def _weigh(s: Structure, tree: BodyTree, links: list[Link]) -> list[float]:
-    """Compute the inverse effective masses of one tree's bars."""
+    """Compute the inverse effective masses of one tree's bars [1/kg].
+
+    `links` are these bars with their connections, the root first.
+    """
     slides = np.eye(3) if links[0].node is None else links[0].slides
     size = len(slides) + 3 * len(links)  # root velocities along its slides, then angular velocities
     M, middles = np.zeros((size, size)), []

@@ -222,7 +222,7 @@ class _SceneBuilder:
         self.strings, self.pairs = [strings[k] for k in kept], [pairs[k] for k in kept]
 
     def _number(self, ends: list[Endpoint]) -> dict[Endpoint, int]:
-        """Assign node numbers to endpoints.
+        """Assign node numbers to endpoints (`ends`).
 
         They follow from the names of sites if possible. Unattached sites of the world are nodes if
         they continue the numbers.

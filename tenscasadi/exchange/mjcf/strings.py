@@ -217,7 +217,11 @@ def read_control(
 
 
 def _drive(string: TendonString, servo: Servo | None, kind: type[Control]) -> TendonString:
-    """Combine the springs of a string and its actuator."""
+    """Combine the springs of a string and its actuator.
+
+    `servo` is the actuator, None without one. `kind` is the common control of all strings. An
+    actuator with another control is ignored.
+    """
     commands = kind in (ForceDensity, Tension)
     own = servo
     if servo is not None and servo.control is not kind and (commands or not servo.stiffness):

@@ -29,8 +29,8 @@ class Rod(NamedTuple):
 def find_body_rods(nodes: Array, wanted: MassProperties) -> tuple[Array, list[Rod]]:
     """Find rods with the mass, center and inertia of a body.
 
-    They join the nodes (k, 3) of the body. If no rods between these have its inertia, the ends of
-    three rods along its principal axes are added.
+    These properties are `wanted`. The rods join the nodes (k, 3) of the body. If no rods between
+    these have its inertia, the ends of three rods along its principal axes are added.
 
     Returns
     -------
@@ -88,7 +88,7 @@ def _moments(own: MassProperties, wanted: MassProperties, size: float) -> Array:
 def _join_nodes(points: Array, rods: list[Rod]) -> list[Rod]:
     """Find massless rods that connect otherwise separate nodes.
 
-    `points` (n, 3) are the nodes [m], and `rods` the known rods.
+    `points` (n, 3) are the nodes [m], and `rods` the known rods. Returns only the new ones.
     """
     ends = np.array([rod.nodes for rod in rods], dtype=np.intp).reshape(-1, 2)
     links = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(len(points), len(points)))

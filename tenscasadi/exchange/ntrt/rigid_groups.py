@@ -44,7 +44,7 @@ class RigidPart:
         return float(np.linalg.norm(self.ends[1] - self.ends[0]))
 
     def _frame(self) -> Array:
-        """Compute its axes (3, 3); the last one points from end to end."""
+        """Compute its axes, columns of (3, 3); the last one points from end to end."""
         along = self.ends[1] - self.ends[0]
         return rotate_between(np.array([0.0, 0.0, 1.0]), along, np.array([1.0, 0.0, 0.0]))
 

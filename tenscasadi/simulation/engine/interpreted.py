@@ -342,7 +342,7 @@ class Loop:
     def _observe(self, before: Before, end: bool = False) -> None:
         """Measure errors and energies, and save states before k steps.
 
-        With `end`, they are the final states.
+        `before` contains these states. With `end`, they are the final ones.
         """
         q, steps = self.q, self.step + np.arange(len(before.z))
         saved = (steps % q["save_every"] == 0) | end if q["save_every"] else steps < 0
@@ -451,7 +451,7 @@ class Loop:
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
     def _x(self, z: Array) -> Array:
-        """Select the states (n, nx) from z."""
+        """Select the states (n, nx) from z (n, nz), which also has external work."""
         return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
     def _energy(self, measure: Array) -> Array:

@@ -128,7 +128,7 @@ class Runs(NamedTuple):
 
 
 def roll(request: Request, progress: bool = False) -> Runs:
-    """Compute the runs of a request.
+    """Compute the runs of a request, with a progress bar if requested.
 
     Raises CompileError, ValueError.
     """

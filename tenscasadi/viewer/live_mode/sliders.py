@@ -88,7 +88,10 @@ class ParameterSlider:
             simulation.set_parameters(self.quantity, number * np.array(self.unit_values))
 
     def read(self, simulation: LiveSimulation) -> float:
-        """Compute the position of the slider from the simulation's parameters."""
+        """Compute the position of the slider from the simulation's parameters.
+
+        It is a factor of `unit_values`.
+        """
         now = simulation.parameters[simulation.model.parameters.places[self.quantity]]
         unit = np.array(self.unit_values)
         return float(np.clip(now @ unit / (unit @ unit), self.low, self.high))

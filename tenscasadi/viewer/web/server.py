@@ -195,8 +195,8 @@ def _find_port(host: str, port: int | None) -> int:
 def _guard_server(local: bool) -> Iterator[list[bool]]:
     """Start viser's server with a check of each request.
 
-    Viser has no option for the check. Yields a list that is not empty once the server has started
-    with it.
+    If the server is `local`, pages must address it by a name of this machine. Viser has no option
+    for the check. Yields a list that is not empty once the server has started with it.
     """
     import websockets.asyncio.server as module
 
