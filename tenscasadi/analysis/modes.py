@@ -262,9 +262,9 @@ def _numbers(model: Any, x: Any, u: Any, parameters: Any) -> tuple[Model, Array,
 
 
 def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
-    """Raise ValueError unless all values at a state (nx,) are finite.
+    """Raise ValueError unless all values are finite.
 
-    The message names a member of zero length.
+    They are those at a state (nx,). The message names a member of zero length.
     """
     if all(np.all(np.isfinite(value)) for value in values):
         return
@@ -280,10 +280,10 @@ def _reject_degenerate(model: Model, state: Array, *values: Any) -> None:
 
 
 def _all_modes(model: Model, state: Array, inputs: Array) -> tuple[Array, Array, int, float]:
-    """Compute all modes at a state (nx,) with inputs (nw,) by dense matrices.
+    """Compute all modes about a state by dense matrices.
 
-    Returns ω² (k,) [rad²/s²], shapes (nq, k), the number of rigid-body motions, and the largest
-    acceleration.
+    The state is (nx,), and the inputs are (nw,). Returns ω² (k,) [rad²/s²], shapes (nq, k), the
+    number of rigid-body motions, and the largest acceleration.
     """
     nq, control, p = model.nq, inputs[: model.nu], inputs[model.nu :]
     linear = linearize(model, state, control, p)
@@ -358,9 +358,9 @@ def _neutral(K: Array, motions: Array) -> Array:
 
 
 def _find_rigid_motions(model: Model, state: Array) -> Array:
-    """Find the rigid-body motions at a state that pinned coordinates allow.
+    """Find the rigid-body motions that pinned coordinates allow.
 
-    The result is an orthonormal basis (nq, ≤ 6).
+    They are those at a state (nx,). The result is an orthonormal basis (nq, ≤ 6).
     """
     mech = model.mechanism
     columns = model.columns(model.nodes(state))

@@ -145,7 +145,7 @@ def _measure(case: Case, step: float, price: Price, goal: AccuracyTarget) -> Cho
 
 
 def _find_loosest(case: Case, price: Price, goal: AccuracyTarget, most: float) -> Choice | None:
-    """Find about the largest rtol of a case with sufficient accuracy.
+    """Find about the largest rtol with sufficient accuracy.
 
     The error is at most `goal.wanted`. `price` is the cost of steps and seconds. Returns None if it
     costs `most` instructions or more.
@@ -215,7 +215,7 @@ def _find_fewest(case: Case, price: Price, goal: AccuracyTarget, most: float) ->
 
 
 def count_coarsest(case: Case, state: Array | None = None) -> int:
-    """Compute the number of steps of a case at the stability limit.
+    """Compute a case's number of steps at the stability limit.
 
     The limit is the smaller one of those at the initial state and at `state` (nx,).
     """

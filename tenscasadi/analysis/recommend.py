@@ -224,10 +224,10 @@ def recommend(
 def _report_choice(
     best: Choice, reference_error: float, goal: AccuracyTarget, notes: list[str]
 ) -> Recommendation:
-    """Build the recommendation from the best choice, with its wall time.
+    """Build the recommendation from a choice, with its wall time.
 
-    `reference_error` [m] is that of the reference positions, and `notes` are the reasons against
-    other choices.
+    The choice is `best`. `reference_error` [m] is that of the reference positions, and `notes` are
+    the reasons against other choices.
     """
     case = best.case
     model, scheme = case.model, case.scheme
@@ -260,7 +260,7 @@ def _report_choice(
 
 
 def _find_cheapest(ways: Sequence[Case], goal: AccuracyTarget) -> tuple[Choice | None, list[str]]:
-    """Find the cheapest choice among cases, and why others were rejected.
+    """Find the cheapest choice, and why others were rejected.
 
     `ways` are these cases. Explicit schemes come first: implicit ones are compared with them. Fixed
     steps that do not locate events are sufficient only if they are tiny: schemes with event

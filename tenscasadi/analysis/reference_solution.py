@@ -409,9 +409,9 @@ def _step_counts(
 
 
 def end_nodes(model: Model, trajectory: Trajectory) -> Array:
-    """Select the final nodes (n, 3) of a trajectory in the scene's structure.
+    """Select the final nodes (n, 3) of the scene's structure.
 
-    Nodes inside strings follow them and are omitted.
+    They are those of a trajectory. Nodes inside strings follow them and are omitted.
     """
     return trajectory.nodes[-1, : len(model.scene.structure.nodes)]
 

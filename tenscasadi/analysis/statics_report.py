@@ -146,7 +146,10 @@ def _describe_members(s: Structure) -> list[str]:
 
 
 def _describe_forces(eq: Equilibrium) -> list[str]:
-    """Describe the tensions, bar forces and reactions of an equilibrium `eq`."""
+    """Describe the tensions, bar forces and reactions of an equilibrium.
+
+    The equilibrium is `eq`.
+    """
     lines = []
     if len(eq.tension):
         slack = int(np.sum(eq.tension == 0.0))

@@ -84,9 +84,9 @@ def analyze_scene(
 
 
 def _read_material(modulus: float | None, strength: float | None) -> Material | None:
-    """Read the material of all members from its modulus and strength [Pa].
+    """Read the material of all members.
 
-    Returns None if both are missing. Raises ValueError.
+    It has a modulus and a strength [Pa]. Returns None if both are missing. Raises ValueError.
     """
     if modulus is None and strength is None:
         return None

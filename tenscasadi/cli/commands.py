@@ -29,7 +29,10 @@ from tenscasadi.util.validate import positive_number
 
 
 def find_fields() -> Any:
-    """Return the fields of the table [simulation], from which options follow."""
+    """Return the fields of the table [simulation].
+
+    Options of the command follow from these.
+    """
     return SIMULATION.fields
 
 

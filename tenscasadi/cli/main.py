@@ -97,8 +97,8 @@ def _warn(
     file: TextIO | None = None,
     line: str | None = None,
 ) -> None:
-    """Print a warning message in one line, without its place in the code.
+    """Print a warning message in one line.
 
-    The arguments are those of `warnings.showwarning`.
+    Its place in the code is omitted. The arguments are those of `warnings.showwarning`.
     """
     _tell(f"warning: {message}")

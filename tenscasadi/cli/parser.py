@@ -133,7 +133,7 @@ def _read_type(kind: Any) -> Any:
 
 @cache
 def _find_options(function: Callable[..., Any]) -> dict[str, CommandOption]:
-    """Find the options of a command from the signature of its function.
+    """Find a command's options from the signature of its function.
 
     A parameter `report` stands for the fields of `CommandReport`.
     """

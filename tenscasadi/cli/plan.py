@@ -150,7 +150,10 @@ def _read(found: SceneSource) -> tuple[dict[str, Any], Any]:
 
 @contextmanager
 def _named(found: SceneSource, section: str) -> Iterator[None]:
-    """Add the names of the scene file `found` and its table (`section`) to errors."""
+    """Add the names of file and table to errors.
+
+    The file is `found`, and the table `section`.
+    """
     try:
         yield
     except SceneFileError:

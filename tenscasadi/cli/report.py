@@ -112,7 +112,7 @@ def check_folder(name: str, folder: Path) -> None:
 
 
 def check_file(name: str, path: Path) -> None:
-    """Raise OSError unless a file at a path can be written.
+    """Raise OSError unless a file can be written.
 
     Its folder must exist. `name` is that of the option, for the message.
     """

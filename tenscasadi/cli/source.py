@@ -79,7 +79,7 @@ class SceneSource:
         return {name: list(strings) for name, strings in groups if not name.endswith("]")}
 
     def has(self, section: str) -> bool:
-        """Return whether the file has a table with the name `section`."""
+        """Return whether the file has the table `section`."""
         return self.document.section(section) is not None
 
 

@@ -107,9 +107,10 @@ def solve_conic(
 
 
 def scaled_triangle(matrix: Array) -> Array:
-    """Stack the scaled upper triangle of a symmetric matrix (k, k).
+    """Stack the scaled upper triangle of a symmetric matrix.
 
-    The k (k + 1) / 2 entries are ordered by columns. Those off the diagonal are multiplied by √2.
+    The matrix is (k, k). The k (k + 1) / 2 entries are ordered by columns. Those off the diagonal
+    are multiplied by √2.
     """
     rows, columns = np.tril_indices(len(matrix))  # of the transpose: column by column
     return np.asarray(matrix[columns, rows] * np.where(rows == columns, 1.0, np.sqrt(2.0)))

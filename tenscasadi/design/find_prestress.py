@@ -229,10 +229,10 @@ class _PrestressSearch:
         return self.settle(goal)
 
     def settle(self, goal: PrestressGoal) -> PrestressDesign:
-        """Solve for a goal until prestress and response to the loads agree.
+        """Iterate until prestress and response to the loads agree.
 
-        The responses of a degenerate program jump with its solutions. Aitken's relaxation makes
-        them converge.
+        The prestress is optimal for the `goal`. The responses of a degenerate program jump with its
+        solutions. Aitken's relaxation makes them converge.
         """
         strings, none = len(self.least), np.zeros((len(self.least), 1))
         force = self.scale * float(self.tangent.lengths.mean())
@@ -302,7 +302,10 @@ class _PrestressSearch:
         return PrestressProgram(self.tangent, self.basis, T, equal, below, self.scale)
 
     def explain(self, status: str) -> str:
-        """Explain why a program has no solution, from the solver's status."""
+        """Explain why a program has no solution.
+
+        `status` is that of the solver.
+        """
         if status == "unbounded":
             return "the least stiffness grows with the prestress without limit: give a maximum"
         if status == "infeasible" and not len(self_stress(self.tangent.structure)):

@@ -326,6 +326,9 @@ def _find_fault(
 
 
 def _dimension(nodes: Array) -> int:
-    """Compute the dimension, 0 to 3, of the affine span of the nodes (n, 3)."""
+    """Compute the dimension of the affine span of nodes.
+
+    It is 0 to 3. The nodes are (n, 3).
+    """
     sizes = np.linalg.svd(nodes - nodes.mean(axis=0), compute_uv=False)
     return int(np.sum(sizes > TOLERANCE * sizes.max(initial=1e-300)))

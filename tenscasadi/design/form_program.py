@@ -142,7 +142,10 @@ class FormProgram:
         )
 
     def force_densities(self, x: Array) -> Array:
-        """Compute the force densities of all members [N/m] from the unknowns x."""
+        """Compute the force densities of all members [N/m].
+
+        They follow from the unknowns x.
+        """
         own = self._free.shape[1] + np.arange(len(self.densities.lower))
         return self.densities.of(x[own] * self.density)
 

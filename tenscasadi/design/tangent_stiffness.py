@@ -147,7 +147,7 @@ class TangentStiffness:
         return softest_motions(self.at(q, stiffness), self.J, self.rigid_body, count)
 
     def has_stiff_motions(self, q: Array) -> bool:
-        """Return whether K is positive definite, from a count of eigenvalue signs.
+        """Return whether K is positive definite, by its inertia.
 
         K, at force densities q (μ,) [N/m], acts on displacements that preserve the lengths of rigid
         bars; a few fixed coordinates exclude rigid-body motions. A factorization gives the count
@@ -163,7 +163,10 @@ class TangentStiffness:
 
     @cached_property
     def _others(self) -> Indices:
-        """Indices of free coordinates, except a few that fix rigid motions."""
+        """Indices of the free coordinates except a few.
+
+        Fixing these few excludes rigid-body motions.
+        """
         order = qr(self.rigid_body.T, mode="r", pivoting=True)[1]
         return np.sort(order[self.rigid_body.shape[1] :])
 

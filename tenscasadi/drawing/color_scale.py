@@ -39,7 +39,7 @@ class ColorScale:
 
     @staticmethod
     def of(quantity: str, values: Array) -> ColorScale:
-        """Build the color scale for all finite values of a quantity.
+        """Build the color scale for all finite values.
 
         `quantity` is "tension" or "force density".
         """

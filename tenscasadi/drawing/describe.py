@@ -97,10 +97,10 @@ def _describe(thing: Any, name: str) -> ViewContent | None:
 def describe_structure(
     structure: Structure, name: str, laws: Iterable[tuple[StringLaw, Indices]] | None = None
 ) -> Motion:
-    """Convert a structure at rest to picture content with a name.
+    """Convert a structure at rest to picture content.
 
-    String forces follow from the rest lengths. `laws` are the string laws with the indices of their
-    strings; by default all have `Clip`.
+    `name` is its name there. String forces follow from the rest lengths. `laws` are the string laws
+    with the indices of their strings; by default all have `Clip`.
     """
     s, every = structure, np.arange(len(structure.strings))
     tension = np.zeros(len(s.strings))

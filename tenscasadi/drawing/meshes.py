@@ -51,7 +51,10 @@ class Poses(NamedTuple):
 
 
 def build_cylinder(sides: int) -> Mesh:
-    """Build an open cylinder of radius 1 and length 1 with `sides` faces."""
+    """Build an open cylinder of radius 1 and length 1.
+
+    It has as many faces as `sides`.
+    """
     ring = _build_ring(sides)
     vertices = np.vstack([np.column_stack([ring, np.full(sides, end)]) for end in (-0.5, 0.5)])
     a = np.arange(sides)
@@ -63,9 +66,9 @@ def build_cylinder(sides: int) -> Mesh:
 
 
 def build_cone(sides: int = 12) -> Mesh:
-    """Build a cone with its tip at the origin and `sides` faces.
+    """Build a cone with its tip at the origin.
 
-    It has the radius 1 and the height 2.
+    It has as many faces as `sides`. It has the radius 1 and the height 2.
     """
     rim = np.column_stack([_build_ring(sides), np.full(sides, -2.0)])
     a = np.arange(sides)
@@ -102,9 +105,10 @@ def _build_ring(sides: int) -> Array:
 
 
 def stretch_cylinders(ends: Array, radius: Array) -> Poses:
-    """Compute the poses of cylinders between `ends` (m, 2, 3) [m].
+    """Compute the poses of cylinders between given ends.
 
-    `radius` (m,) is in m. Members with an end that is not finite have no size.
+    The ends are (m, 2, 3) [m]. `radius` (m,) is in m. Members with an end that is not finite have
+    no size.
     """
     known = np.asarray(np.isfinite(ends).all(axis=(1, 2)))
     first, second = np.where(known[:, None, None], ends, 0.0).swapaxes(0, 1)
@@ -124,9 +128,10 @@ def stretch_cylinders(ends: Array, radius: Array) -> Poses:
 
 
 def place_balls(centers: Array, radius: Array) -> Poses:
-    """Compute the poses of upright copies at `centers` (m, 3) [m].
+    """Compute the poses of upright copies at given centers.
 
-    `radius` (m,) scales the copies. Copies at a position that is not finite have no size.
+    The centers are (m, 3) [m]. `radius` (m,) scales the copies. Copies at a position that is not
+    finite have no size.
     """
     known = np.asarray(np.isfinite(centers).all(axis=1))
     upright = np.tile(np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32), (len(centers), 1))

@@ -61,9 +61,9 @@ def describe_trajectory_forces(trajectory: Trajectory) -> tuple[NodeForces, ...]
 
 
 def _find_loads(scene: Scene, frame: Frame, delay: float) -> Array:
-    """Compute nodal forces and pressure (n, 3) of a frame [N].
+    """Compute nodal forces and pressure (n, 3) [N].
 
-    `delay` [s] is the time of the scene at the frame's time 0.
+    They act at the time of the frame. `delay` [s] is the time of the scene at the frame's time 0.
     """
     time, loads = frame.time + delay, np.zeros_like(frame.nodes)
     if scene.forces is not None:
@@ -75,7 +75,10 @@ def _find_loads(scene: Scene, frame: Frame, delay: float) -> Array:
 
 
 def _find_contact_forces(scene: Scene, frame: Frame) -> Array:
-    """Compute the forces of grounds (n, 3) on the nodes of a frame [N]."""
+    """Compute the forces of grounds (n, 3) [N].
+
+    They act on the nodes of the frame.
+    """
     found = np.zeros_like(frame.nodes)
     velocities = found if frame.velocities is None else frame.velocities
     N, V = ca.DM(frame.nodes.T), ca.DM(velocities.T)

@@ -43,10 +43,11 @@ def grid_spacing(size: float, lines: int = STYLE.grid_lines) -> float:
 
 
 def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
-    """Find the corners `low` and `high` (3,) of the visible box [m].
+    """Find the corners of the visible box [m].
 
-    It contains all motions and obstacles, the height fields below and above them, and planes that
-    are not too far away. The margin is relative to the size of the content.
+    They are `low` and `high` (3,). It contains all motions and obstacles, the height fields below
+    and above them, and planes that are not too far away. The margin is relative to the size of the
+    content.
     """
     (low, high), size = content.corners, content.size
     for center, radius in content.obstacles:
@@ -85,10 +86,10 @@ def cut_ground(ground: Surface, low: Array, high: Array) -> GroundPatch | None:
 
 
 def find_box_edges(box: tuple[Array, Array], low: Array, high: Array) -> Array:
-    """Find the visible edges (k, 2, 3) of a box between two corners (3,).
+    """Find the visible edges (k, 2, 3) of a box.
 
-    Sides at infinity are omitted. Edges that lead there end outside the view, which is the box from
-    `low` to `high`.
+    The box has two corners (3,). Sides at infinity are omitted. Edges that lead there end outside
+    the view, which is the box from `low` to `high`.
     """
     reach = float((high - low).max())
     near, far = np.maximum(box[0], low - reach), np.minimum(box[1], high + reach)

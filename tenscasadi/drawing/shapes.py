@@ -86,11 +86,11 @@ class MotionShapes:
         scale: ColorScale | None = None,
         kinds: Iterable[str] = ("load", "contact"),
     ) -> list[DrawnShape]:
-        """Build the shapes of all members, nodes, supports and forces of a frame.
+        """Build the shapes of members, nodes, supports and forces.
 
-        Forces are arrows of the given kinds; rigid bodies have faces. Strings are colored by the
-        quantity of the scale; slack strings are thin, and broken strings, whose tension is NaN,
-        have no width.
+        They are those of a frame. Forces are arrows of the given kinds; rigid bodies have faces.
+        Strings are colored by the quantity of the scale; slack strings are thin, and broken
+        strings, whose tension is NaN, have no width.
         """
         motion, radius, tint = self.motion, self.radius, self.tint
         nodes, values = frame.nodes, None if scale is None else frame.values(scale.quantity)
@@ -128,9 +128,9 @@ class MotionShapes:
         ]
 
     def _build_arrows(self, frame: Frame, kinds: Iterable[str]) -> list[DrawnShape]:
-        """Build the arrows of forces in a frame, one shape for each kind.
+        """Build the arrows of forces, one shape for each kind.
 
-        Kinds that are not wanted have no arrows.
+        The forces are those in a frame. Kinds that are not wanted have no arrows.
         """
         found = []
         for forces in self.motion.forces:
@@ -168,10 +168,10 @@ def _fill(color: Rgb, count: int) -> Bytes:
 
 
 def choose_tint(content: ViewContent, index: int) -> Rgb | None:
-    """Choose one color for the trajectory of a picture with a given index.
+    """Choose one color for a trajectory of a picture.
 
-    Returns None for a trajectory whose members are colored by their forces. This is the first one,
-    unless it consists of copies.
+    `index` is the number of the trajectory. Returns None for a trajectory whose members are colored
+    by their forces. This is the first one, unless it consists of copies.
     """
     opaque = content.motions[0].copies == 1
     if index == 0 and opaque:

@@ -116,7 +116,10 @@ class Motion:
     structure: Structure | None = None
 
     def count(self, kind: str) -> int:
-        """Count the items of a kind in one copy: "nodes", "bars" or "strings"."""
+        """Count the items of a kind in one copy.
+
+        The kind is "nodes", "bars" or "strings".
+        """
         whole = self.nodes.shape[1] if kind == "nodes" else len(getattr(self, kind))
         return whole // self.copies
 
@@ -137,7 +140,10 @@ class Motion:
         return float(self.time[-1])
 
     def row_at(self, time: float) -> int:
-        """Find the index of the last row at or before a time [s]."""
+        """Find the last row at or before a time.
+
+        The time is in s, and the result is the row's index.
+        """
         row = np.searchsorted(self.time, time, side="right") - 1
         return int(np.clip(row, 0, len(self.time) - 1))
 
@@ -243,9 +249,9 @@ class ViewContent:
 
     @cached_property
     def corners(self) -> tuple[Array, Array]:
-        """Opposite corners, each (3,), of a box around all trajectories [m].
+        """Opposite corners of a box around all trajectories [m].
 
-        Outliers are ignored, such as the nodes of a trajectory that diverged.
+        Each is (3,). Outliers are ignored, such as the nodes of a trajectory that diverged.
         """
         first = np.concatenate([motion.nodes[0] for motion in self.motions])
         first = first[np.isfinite(first).all(axis=1)]

@@ -257,9 +257,9 @@ class TensegrityVectorEnv(VectorEnv[Any, Any, Any]):
         return self._episodes.observe(), rewards, over, late, {"diverged": lost & ~begun}
 
     def _read_reset_mask(self, options: dict[str, Any] | None) -> Any:
-        """Read the mask (n,) of episodes to start from the options of `reset`.
+        """Read the mask (n,) of episodes to start.
 
-        Without a mask all are started. Raises ValueError.
+        It is one of the options of `reset`. Without a mask all are started. Raises ValueError.
         """
         if options is None or "reset_mask" not in options:
             return np.ones(self.num_envs, dtype=bool)

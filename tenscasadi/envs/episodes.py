@@ -174,9 +174,9 @@ class Episodes:
         return ended | (_per_episode("terminated", self.task.terminated, now) != 0)
 
     def _places(self, states: Array) -> tuple[Array, Array]:
-        """Compute node positions [m] and velocities [m/s], each (n, N, 3).
+        """Compute node positions and velocities, each (n, N, 3).
 
-        The states are (n, nx).
+        They are in m and m/s. The states are (n, nx).
         """
         count = len(self.task.model.scene.structure.nodes)
         return self.task.model.nodes(states)[:, :count], self.task.model.velocities(states)[
@@ -184,9 +184,9 @@ class Episodes:
         ]
 
     def _find_broken(self, nodes: Array) -> Any:
-        """Return a mask (n,) of the episodes with large bar-length errors.
+        """Return which episodes (n,) have large bar-length errors.
 
-        The nodes are (n, N, 3) [m].
+        The result is a mask. The nodes are (n, N, 3) [m].
         """
         structure = self.task.model.scene.structure
         lengths = structure.bar_lengths

@@ -26,7 +26,10 @@ class Renderer(Protocol):
     """Interface of displays that draw one frame after another."""
 
     def draw(self, frame: Frame) -> Any:
-        """Draw a frame, and return its picture if there is one."""
+        """Draw a frame.
+
+        Returns its picture if there is one.
+        """
 
     def close(self) -> None:
         """Release the resources of the display."""
@@ -98,9 +101,9 @@ def build_renderer(mode: str, model: Model, period: float) -> Renderer:
 def observe_frame(
     model: Model, state: Array, control: Array, parameters: Array, now: float
 ) -> Frame:
-    """Build the frame of a state (nx,) at the time `now` [s].
+    """Build the frame of a state (nx,) at a time.
 
-    The control is (nu,), and the parameters are (np,).
+    The time `now` is in s. The control is (nu,), and the parameters are (np,).
     """
     seen = observe_states(model, state[None], np.concatenate([control, parameters])[None])
     return Frame(

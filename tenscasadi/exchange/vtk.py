@@ -102,9 +102,10 @@ def export_vtk(
 
 
 def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
-    """Compute the force densities of bars (T, β) [N/m] along a run.
+    """Compute the force densities of bars (T, β) [N/m].
 
-    They are negative in compression, where λ is positive (Eq. 87), and NaN without a model.
+    They are those along a run. They are negative in compression, where λ is positive (Eq. 87), and
+    NaN without a model.
     """
     if model is None:
         return np.full((len(run.time), len(run.bars)), np.nan)
@@ -128,10 +129,10 @@ def _bar_force_density(run: Trajectory, model: Model | None) -> Array:
 def _frame(
     meshio: Any, run: Trajectory, row: int, bar_force_density: Array, hulls: list[Indices]
 ) -> Any:
-    """Build the mesh of one saved time of a run for ParaView.
+    """Build the mesh of one saved time for ParaView.
 
-    `row` is the index of the time, and `bar_force_density` (T, β) is in N/m. `hulls` are the
-    triangles (·, 3) of each rigid body, as node indices.
+    It is that of a run. `row` is the index of the time, and `bar_force_density` (T, β) is in N/m.
+    `hulls` are the triangles (·, 3) of each rigid body, as node indices.
     """
     nodes, pinned = run.nodes[row], np.zeros(run.nodes.shape[1])
     pinned[run.pinned] = 1

@@ -190,9 +190,10 @@ def _check_head(document: Document) -> None:
 
 
 def _find_included(item: Item, folder: Path) -> Path:
-    """Find the path of an included file from its name in the entry `item`.
+    """Find the path of an included file.
 
-    It is in the folder of the including file or below. Raises SceneFileError.
+    `item` contains its name. It is in the folder of the including file or below. Raises
+    SceneFileError.
     """
     name = item.text('the name of a file, such as "mast.toml"')
     parts = name.split("/")
@@ -217,9 +218,10 @@ def _find_included(item: Item, folder: Path) -> Path:
 
 
 def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Merge the tables `data` and `over` key by key; values of `over` win.
+    """Merge two tables key by key.
 
-    A table with another `kind` or `shape` replaces the whole table.
+    Values of `over` replace those of `data`. A table with another `kind` or `shape` replaces the
+    whole table.
     """
     merged = dict(data)
     for name, value in over.items():
@@ -230,7 +232,7 @@ def _merge(data: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compute_numbers(document: Document) -> dict[str, float]:
-    """Compute the declared numbers of a file, some of which refer to others.
+    """Compute the declared numbers, some of which refer to others.
 
     Raises SceneFileError.
     """

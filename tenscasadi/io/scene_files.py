@@ -106,9 +106,9 @@ def save_scene(scene: Any, path: FilePath) -> Path:
 
 
 def read_scene(document: Document) -> Scene:
-    """Read the tables [structure] and [scene] of a scene file (`document`).
+    """Read the tables [structure] and [scene].
 
-    Raises SceneFileError.
+    They are those of a scene file, `document`. Raises SceneFileError.
     """
     item = document.section("structure")
     if item is None:

@@ -128,7 +128,10 @@ class StructureSection(FieldType):
         return _read_shape(known[name.value], item, table)
 
     def write(self, value: Any) -> dict[str, Any]:
-        """Convert a structure (`value`) to a table with nodes, bars and strings."""
+        """Convert a structure to nodes, bars and strings.
+
+        The structure is `value`, and the result is a table.
+        """
         fields = dict(value.to_fields())
         if all(axes == "xyz" for axes in value.pinned.values()):
             fields["pinned"] = list(value.pinned)
@@ -159,7 +162,7 @@ class OfStructure(FieldType):
     other: FieldType
 
     def read(self, item: Item) -> Any:
-        """Read the attribute of a structure, or the other type, from an entry.
+        """Read the attribute of a structure, or the other type.
 
         `item` is this entry of the file.
         """
@@ -179,9 +182,9 @@ class OfStructure(FieldType):
         return {"anyOf": [self.other.schema(kinds), _build_shape_schema(kinds)]}
 
     def resolve(self, field: str, value: Any, names: Names) -> Any:
-        """Replace names in a value by indices, by the other type.
+        """Replace names by indices, by the other type.
 
-        `field` is the name of the field in messages.
+        The names are in `value`. `field` is the name of the field in messages.
         """
         return self.other.resolve(field, value, names)
 

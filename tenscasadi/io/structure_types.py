@@ -70,7 +70,10 @@ class PerItem(FieldType):
     others: float
 
     def read(self, item: Item) -> Any:
-        """Read a number or a list of numbers from an entry (`item`)."""
+        """Read a number or a list of numbers.
+
+        `item` is the entry of the file.
+        """
         if not isinstance(item.value, dict):
             return self._numbers.read(item)
         values = np.full(item.names.counts[self.which], self.others)
@@ -80,7 +83,10 @@ class PerItem(FieldType):
         return values.tolist()
 
     def write(self, value: Any) -> Any:
-        """Convert values to a number if all are equal, otherwise to a list."""
+        """Write a number if all are equal, otherwise a list.
+
+        `value` contains the numbers.
+        """
         values = self._numbers.write(value)
         alike = isinstance(values, list) and len(set(map(repr, values))) == 1
         return values[0] if alike else values
@@ -179,7 +185,10 @@ class NodeTable(FieldType):
     """Field type of node positions, in a list or by name in a table."""
 
     def read(self, item: Item) -> tuple[list[Any], list[str]]:
-        """Read the positions of nodes, and their names, from an entry (`item`)."""
+        """Read the positions of nodes, and their names.
+
+        `item` is the entry of the file.
+        """
         if not isinstance(item.value, dict):
             if not item.entries():
                 raise item.error("is empty: give at least one node")

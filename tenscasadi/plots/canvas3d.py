@@ -88,7 +88,10 @@ class Canvas3D:
                 self._drawn.append(arrows)
 
     def add_color_bar(self, scale: ColorScale) -> None:
-        """Add the color bar of string forces with a color scale."""
+        """Add the color bar of string forces.
+
+        It shows the color `scale`.
+        """
         ramp = interpolate_colors(STYLE.ramp, np.linspace(0, 1, 256)) / 255
         mapped = ScalarMappable(Normalize(0.0, scale.largest or 1.0), ListedColormap(ramp))
         exceeded = scale.highest > scale.largest

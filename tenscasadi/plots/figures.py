@@ -190,7 +190,10 @@ def time_lapse(
 
 
 def _find_row(motion: Motion, time: float) -> int:
-    """Find the saved row of a trajectory that is nearest to a time [s]."""
+    """Find the saved row next to a time [s].
+
+    It is the row of a trajectory, `motion`.
+    """
     wanted = positive_number("time", time, zero=True)
     return int(np.argmin(np.abs(motion.time - wanted)))
 

@@ -299,9 +299,9 @@ def find_contact_intervals(trajectory: Trajectory) -> tuple[tuple[float, float],
 def choose_nodes(
     trajectory: Trajectory, nodes: Sequence[int | str] | None
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Select nodes of a trajectory by index or name, with their names.
+    """Select nodes by index or name, with their names.
 
-    By default they are the nodes that move most.
+    They are nodes of a trajectory. By default they are the nodes that move most.
     """
     given = _find_moving_nodes(trajectory) if nodes is None else nodes
     return choose_items(trajectory, "node", given, trajectory.nodes.shape[1])
@@ -338,9 +338,9 @@ def _describe_smallness(values: Array, bottom: float) -> str:
 
 
 def _find_moving_nodes(trajectory: Trajectory) -> list[int]:
-    """Find up to 12 nodes of a trajectory with the largest displacements.
+    """Find up to 12 nodes with the largest displacements.
 
-    They are in the order of their indices.
+    They are nodes of a trajectory. They are in the order of their indices.
     """
     way = np.ptp(trajectory.nodes, axis=0).max(axis=1)
     order = np.argsort(-way, kind="stable")[:MOST_LISTED]

@@ -185,7 +185,10 @@ def mode_shapes(
 
 
 def _add_reactions(content: ViewContent, forces: Array) -> ViewContent:
-    """Add reactions (n, 3) [N] as arrows to the picture content."""
+    """Add reactions (n, 3) [N] as arrows to the picture.
+
+    `forces` are the reactions.
+    """
     arrows = NodeForces("reaction", lambda _: forces)
     return replace(content, motions=(replace(content.motions[0], forces=(arrows,)),))
 

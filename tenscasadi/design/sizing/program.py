@@ -102,7 +102,10 @@ class SizingProgram:
         self._units, self._rows = self._build()
 
     def nodal_weight(self, area: Array) -> Array:
-        """Compute the nodal weights (n, 3) of members with given areas [N]."""
+        """Compute the nodal weights (n, 3) of the members [N].
+
+        `area` (members,) are their areas [m²].
+        """
         return np.asarray((self.end_weights @ area).reshape(-1, 3))
 
     def _build(self) -> tuple[_SizingUnits, _SizingRows]:
@@ -202,9 +205,10 @@ class _SizingRows(NamedTuple):
 
 
 def _end_weights(structure: Structure, sections: Sections, gravity: Array) -> Any:
-    """Build the nodal weights (3n, members) per area of members [N/m²].
+    """Build the nodal weights per area of members [N/m²].
 
-    One half of the weight of a string or bar acts at each end. `gravity` (3,) is in m/s².
+    Their matrix is (3n, members). One half of the weight of a string or bar acts at each end.
+    `gravity` (3,) is in m/s².
     """
     pairs = member_pairs(structure)
     lengths = np.concatenate([structure.string_lengths, structure.bar_lengths])

@@ -52,7 +52,10 @@ class Design(NamedTuple):
 
 
 def find_least_mass(program: SizingProgram) -> Design:
-    """Find the areas and forces of a program with the smallest mass."""
+    """Find the areas and forces with the smallest mass.
+
+    They are unknowns of the program.
+    """
     root = program.solve()
     none = SizedForces(np.inf, root.area, root.force)
     if not np.isfinite(root.mass):
@@ -91,9 +94,10 @@ def _descend(program: SizingProgram, area: Array) -> SizedForces | None:
 
 
 def _tangents(program: SizingProgram, area: Array) -> BucklingRows:
-    """Linearize the buckling constraints c a² about given areas a [m²].
+    """Linearize the buckling constraints c a² about given areas.
 
-    They limit the compressive forces of bars. Bars of zero area remain without compression.
+    The areas a are in m². They limit the compressive forces of bars. Bars of zero area remain
+    without compression.
     """
     bars = np.arange(program.strings, program.members)
     floor = 1e-9 * float(area.max(initial=0.0))
@@ -166,9 +170,9 @@ def _branch(program: SizingProgram, best: SizedForces, programs: int) -> Design:
 
 
 def _inner(low: float, high: float) -> tuple[float, float]:
-    """Compute the inner 90 % of an interval from `low` to `high`.
+    """Compute the inner 90 % of an interval.
 
-    If it is divided there, both parts become shorter.
+    The interval is [low, high]. If it is divided there, both parts become shorter.
     """
     margin = 0.05 * (high - low)
     return low + margin, high - margin

@@ -180,7 +180,10 @@ def _describe(design: Design) -> str:
 
 
 def _gap(mass: float, bound: float) -> float:
-    """Compute the relative gap between mass and lower bound, at least 0."""
+    """Compute the relative gap between mass and lower bound.
+
+    It is at least 0.
+    """
     return max(mass / bound - 1.0, 0.0) if bound > 0.0 else 0.0
 
 
@@ -282,7 +285,7 @@ def _choose_forces(
 
 
 def _explain(program: SizingProgram) -> str:
-    """Explain why no sections can carry the loads of a program."""
+    """Explain why no sections can carry a program's loads."""
     for case in np.flatnonzero(program.loads.any(axis=1)):
         load = program.loads[case]
         left = unbalanced_load(program, load)

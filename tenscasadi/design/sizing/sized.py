@@ -163,9 +163,10 @@ def _find_reasons(sections: Sections, area: Array, states: Array) -> tuple[str, 
 def _build_structure(
     structure: Structure, program: SizingProgram, area: Array, own: Array
 ) -> Structure:
-    """Build the structure with given areas [m²] and prestress (`own`) [N].
+    """Build the structure with given areas and prestress.
 
-    Bars without force get a billionth of the largest area, because each bar must have a mass.
+    The areas are in m², and the prestress `own` in N. Bars without force get a billionth of the
+    largest area, because each bar must have a mass.
     """
     sections, strings = program.sections, len(structure.strings)
     kept = np.maximum(area, NEGLIGIBLE * (area.max(initial=0.0) or 1.0))

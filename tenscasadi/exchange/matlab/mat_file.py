@@ -86,7 +86,7 @@ def _check_version(name: str, whole: bytes) -> None:
 
 
 def _read_variables(whole: bytes, limit: int) -> Iterator[tuple[str, Any]]:
-    """Yield names and values of all variables of a .mat file.
+    """Yield names and values of all variables.
 
     `whole` contains the bytes of the file. `limit` is the largest number of decompressed bytes.
     Raises ValueError and others if the file is damaged.

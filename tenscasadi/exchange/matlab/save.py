@@ -150,7 +150,10 @@ def _build_physical(structure: Structure) -> dict[str, Any]:
 
 
 def _build_cables(structure: Structure) -> dict[str, Any]:
-    """Build the variables of cables by name, with the matrix S of CTSFEM."""
+    """Build the cables, and the matrix S of CTSFEM.
+
+    The result has them by the names of variables.
+    """
     units = find_units(structure)
     unit = np.roll(units, len(structure.bars))  # of bars, then of strings
     rows = np.roll(np.unique(units), len(structure.bars))

@@ -261,9 +261,9 @@ def _read_members(variables: Variables, keys: tuple[str, ...], count: int) -> In
 
 
 def _read_node_mass(source: Source, variables: Variables, count: int, bars: Indices) -> Array:
-    """Read the point mass (count,) of each column of N [kg].
+    """Read the point mass of each column of N.
 
-    In MOTES only nodes without `bars` have one.
+    The result is (count,) [kg]. In MOTES only nodes without `bars` have one.
     """
     if "node_mass" in variables:
         return read_values(source, variables, "node_mass", count)
@@ -277,7 +277,7 @@ def _read_node_mass(source: Source, variables: Variables, count: int, bars: Indi
 
 
 def _read_pins(variables: Variables, count: int) -> dict[int, str]:
-    """Read the pinned axes of nodes, such as "xy", by node.
+    """Read the pinned axes, such as "xy", by node.
 
     `count` is the number of nodes. Raises ValueError.
     """
@@ -340,7 +340,7 @@ def _read_bodies(variables: Variables, count: int) -> list[RigidBody]:
 
 
 def _read_rollers(variables: Variables, count: int) -> dict[int, Array]:
-    """Read the roller normals (·, 3) of each node on rollers.
+    """Read the normals (·, 3) of rollers by node.
 
     `count` is the number of nodes. Raises TypeError, ValueError.
     """

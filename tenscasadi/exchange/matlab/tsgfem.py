@@ -80,9 +80,9 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
 
 
 def _read_cables(variables: Variables, count: int) -> Indices:
-    """Read the index of each member's cable (count,) from the matrix S.
+    """Read the cable of each member from the matrix S.
 
-    A cable is a row of S.
+    The result (count,) has indices of cables. A cable is a row of S.
     """
     S: Any = variables.get("S")
     S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S

@@ -15,10 +15,10 @@ Variables = Mapping[str, Any]
 
 
 def read_values(source: Source, variables: Variables, key: str, count: int) -> Array:
-    """Read the variable `key`: one number per item, or one for all.
+    """Read one number per item, or one for all.
 
-    The result is (count,). Of a matrix with a column for each time, only the first column is read.
-    Raises TypeError, ValueError.
+    They are the variable `key`. The result is (count,). Of a matrix with a column for each time,
+    only the first column is read. Raises TypeError, ValueError.
     """
     value = variables[key]
     cure = f"give {count} numbers or one"
@@ -49,10 +49,10 @@ def read_indices(key: str, value: Any, count: int) -> Indices:
 
 
 def read_pairs(key: str, value: Any, count: int) -> Indices:
-    """Convert a connectivity matrix or list to zero-based node pairs (k, 2).
+    """Convert a connectivity matrix or list to zero-based node pairs.
 
-    `key` is the variable's name for messages, and `count` the number of nodes. A list counts from
-    1. Raises TypeError, ValueError.
+    The result is (k, 2). `key` is the variable's name for messages, and `count` the number of
+    nodes. A list counts from 1. Raises TypeError, ValueError.
     """
     if isinstance(value, np.ndarray) and value.size == 0:
         return np.zeros((0, 2), dtype=np.intp)
@@ -80,9 +80,9 @@ def read_pairs(key: str, value: Any, count: int) -> Indices:
 
 
 def pad_rows(rows: Sequence[Sequence[int]]) -> Array:
-    """Convert lists of indices to a matrix for MATLAB, one list a row.
+    """Convert lists of indices to a matrix for MATLAB.
 
-    Its indices count from 1 and its rows are padded with zeros.
+    Each list is a row. Its indices count from 1 and its rows are padded with zeros.
     """
     table = np.zeros((len(rows), max(map(len, rows), default=0)))
     for own, row in zip(table, rows, strict=True):
@@ -101,7 +101,10 @@ def read_rows(key: str, value: Any, count: int) -> list[list[int]]:
 
 
 def is_filled(variables: Variables, key: str) -> bool:
-    """Return whether the variable `key` is an array with nonzero numbers."""
+    """Return whether a variable has nonzero numbers.
+
+    `key` is its name.
+    """
     value: Any = variables.get(key)
     if issparse(value):
         return bool(value.nnz)

@@ -151,9 +151,9 @@ class _TreeBuilder:
         return Link(bar, None, node, find_free_directions(self.held[node]))
 
     def _take(self, link: Link) -> Iterator[Link]:
-        """Add a bar to the tree, and yield the links of bars attached to it.
+        """Add a bar to the tree, and yield attached ones.
 
-        `link` is the bar with its connection to the tree.
+        Each is yielded as its link. `link` is the bar with its connection to the tree.
         """
         self.found.links.append(link)
         for node in self.bars[link.bar]:

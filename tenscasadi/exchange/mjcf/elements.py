@@ -44,7 +44,10 @@ class Element:
         return replace(self, attributes=attributes)
 
     def error(self, message: str, attribute: str = "") -> SceneFileError:
-        """Build an error with a message that names this element or an attribute."""
+        """Build an error that names this element or an attribute.
+
+        `message` is its text.
+        """
         name = self.attributes.get("name")
         tag = f"<{self.tag}>" if name is None else f'<{self.tag} name="{format_value(name)[1:-1]}">'
         return SceneFileError(message, self.file, self.line, f"{tag} {attribute}".strip())
@@ -57,7 +60,10 @@ class Element:
         self.source.leave_out(self.error(message, attribute))
 
     def text(self, attribute: str, default: str = "") -> str:
-        """Return an attribute as text, or `default` if it is missing."""
+        """Return an attribute as text.
+
+        It is `default` if the attribute is missing.
+        """
         return self.attributes.get(attribute, default)
 
     def word(self, attribute: str, default: str, *words: str) -> str:
@@ -115,9 +121,9 @@ class Element:
         return float(self.numbers(attribute, 1, None if default is None else [default])[0])
 
     def whole(self, attribute: str, default: int) -> int:
-        """Read an attribute of one integer, or `default` if it is missing.
+        """Read an attribute of one integer.
 
-        Raises SceneFileError.
+        `default` replaces a missing attribute. Raises SceneFileError.
         """
         found = self.number(attribute, default)
         if found != round(found) or abs(found) > 2**31:

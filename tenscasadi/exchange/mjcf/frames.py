@@ -40,7 +40,10 @@ class Pose(NamedTuple):
     turn: Array
 
     def at(self, point: Array) -> Array:
-        """Transform a point (3,) [m] from this frame to the outer frame."""
+        """Transform a point from this frame to the outer frame.
+
+        The point is (3,) [m].
+        """
         return np.asarray(self.place + self.turn @ point)
 
     def within(self, outer: Pose) -> Pose:
@@ -86,7 +89,10 @@ def _read_rotation(element: Element, name: str, units: Units) -> Array:
 
 
 def rotate_z_to(direction: Array) -> Array:
-    """Compute the rotation matrix of least angle from z to a unit direction."""
+    """Compute the smallest rotation from z to a unit direction.
+
+    The result is the rotation matrix (3, 3).
+    """
     axis = np.cross([0, 0, 1], direction)
     sine = float(np.linalg.norm(axis))
     if sine <= 1e-10:
@@ -102,6 +108,9 @@ def _normalize(element: Element, name: str, vector: Array) -> Array:
 
 
 def _rotate(axis: Array, angle: float) -> Array:
-    """Compute the rotation matrix about a unit axis by an angle [rad]."""
+    """Compute the rotation matrix about a unit axis.
+
+    `angle` is in rad.
+    """
     across = np.cross(np.eye(3), axis)
     return np.asarray(np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * across @ across)

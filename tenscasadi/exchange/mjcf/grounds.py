@@ -44,7 +44,10 @@ class Locator(Protocol):
     """Interface that finds nodes and bars of the imported scene."""
 
     def find_node(self, piece: int, point: Array) -> int | None:
-        """Find the node at a point (3,) [m] of a rigid piece, or None."""
+        """Find the node at a point of a rigid piece.
+
+        The point is (3,) [m]. Returns None if there is none.
+        """
 
     def find_bar(self, piece: int, rod: RodGeom) -> int | None:
         """Find the bar that a geom covers with its radius.
@@ -285,7 +288,10 @@ def _read_law(law: Element, inverse: float, mean: float, standing: float) -> dic
 
 
 def _is_equal(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Return whether two contact laws, keywords of `Ground`, agree within 0.01 %."""
+    """Return whether two contact laws agree within 0.01 %.
+
+    Laws are keywords of `Ground`.
+    """
     if one.keys() != other.keys() or (one["friction"] is None) != (other["friction"] is None):
         return False
     return all(

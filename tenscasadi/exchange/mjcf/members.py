@@ -80,10 +80,10 @@ class PieceEnds:
             self._hang(k, piece)
 
     def _list_anchors(self, k: int, piece: Piece, attached: list[Site]) -> list[Array]:
-        """List the points of the joint between piece `k` and its parent.
+        """List the points of a joint that two pieces share.
 
-        A ball joint has one, and a hinge two on its axis, the second at a site if there is one.
-        `attached` are the sites of strings and constraints.
+        They are piece `k` and its parent. A ball joint has one, and a hinge two on its axis, the
+        second at a site if there is one. `attached` are the sites of strings and constraints.
         """
         if piece.axis is None or piece.anchor is None:
             return [] if piece.anchor is None else [piece.anchor]
@@ -147,10 +147,10 @@ class PieceEnds:
         return Endpoint(piece, nearest) if found else None
 
     def place(self, piece: int, point: Array, element: Element | None = None) -> Endpoint:
-        """Find the endpoint of a piece at a point (3,) [m].
+        """Find the endpoint of a piece at a point.
 
-        In the world it is added if necessary. Raises SceneFileError, which names `element`, if a
-        moving piece has no endpoint there.
+        The point is (3,) [m]. In the world it is added if necessary. Raises SceneFileError, which
+        names `element`, if a moving piece has no endpoint there.
         """
         found = self.find(piece, point)
         if found is None and piece == _WORLD:
@@ -325,10 +325,10 @@ class PieceEnds:
     def _radius(
         self, piece: Piece, mass: float, length: float, axis: Array, inertia: Array
     ) -> float:
-        """Compute a bar's radius [m] from the transverse inertia (Eq. 19).
+        """Compute a bar's radius from the transverse inertia (Eq. 19).
 
-        The bar has a mass, a length, a direction `axis` (3,) and an inertia matrix (3, 3) about its
-        center. Raises SceneFileError.
+        It is in m. The bar has a mass, a length, a direction `axis` (3,) and an inertia matrix (3,
+        3) about its center. Raises SceneFileError.
         """
         other = np.linalg.svd(axis[None])[2][1:]
         across = other @ inertia @ other.T
@@ -373,9 +373,9 @@ class PieceEnds:
         return Mass(total, center, inertia), on_nodes
 
     def read_point(self, k: int, piece: Piece) -> float:
-        """Compute the mass [kg] of piece `k`, which is a point mass.
+        """Compute the mass of a point mass [kg].
 
-        Raises SceneFileError.
+        It is piece `k`. Raises SceneFileError.
         """
         total = sum(mass.mass for mass in piece.masses)
         if total > 0:

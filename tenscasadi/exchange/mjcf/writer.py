@@ -327,9 +327,9 @@ class MjcfWriter:
             )
 
     def _points(self, world: ET.Element, V: Array) -> None:
-        """Add pinned nodes and nodes without bars to the `world` element.
+        """Add pinned nodes and nodes without bars.
 
-        `V` (n, 3) are the velocities of nodes [m/s].
+        They belong to the `world` element. `V` (n, 3) are the velocities of nodes [m/s].
         """
         s, held, here = self.s, find_held_directions(self.s), np.zeros(3)
         for node in (node for node in range(len(s.nodes)) if node not in self.owners):
@@ -459,9 +459,9 @@ def _list_inertia(moments: Array) -> list[float]:
 
 
 def _add(parent: ET.Element, tag: str, **attributes: Any) -> ET.Element:
-    """Add a child with the name `tag` to an XML element, and return it.
+    """Add a child to an XML element.
 
-    Numbers become text that is read back exactly.
+    The child has the name `tag` and is returned. Numbers become text that is read back exactly.
     """
     return ET.SubElement(parent, tag, {name: _text(value) for name, value in attributes.items()})
 

@@ -13,7 +13,10 @@ from tenscasadi.util.validate import Array
 
 @dataclass(eq=False)
 class NtrtNode:
-    """Named node of an NTRT structure, at the position `at` (3,)."""
+    """Named node of an NTRT structure.
+
+    `at` (3,) is its position.
+    """
 
     name: str
     at: Array
@@ -101,9 +104,10 @@ def rotate(axis: Array, angle: float) -> Array:
 
 
 def rotate_between(a: Array, b: Array, fallback: Array) -> Array:
-    """Compute the rotation matrix of least angle from direction a to b.
+    """Compute the smallest rotation from direction a to b.
 
-    If they are opposite, it is a half turn about `fallback`.
+    The result is the rotation matrix (3, 3). If they are opposite, it is a half turn about
+    `fallback`.
     """
     a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
     if np.linalg.norm(a - b) < 1e-5:  # NTRT's tolerance for equal directions

@@ -174,9 +174,10 @@ class _NtrtReader:
         place_children(whole, groups)
 
     def _resolve(self, entry: YamlEntry, above: tuple[Path, ...]) -> Path:
-        """Resolve the path of a substructure's file, an entry of text.
+        """Resolve the path of a substructure's file.
 
-        It must lie in the folder. It must be none of the files `above`, which include it.
+        `entry` has this path as text. It must lie in the folder. It must be none of the files
+        `above`, which include it.
         """
         path = entry.path.parent / entry.word()
         whole = path.resolve()

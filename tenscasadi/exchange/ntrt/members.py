@@ -190,7 +190,10 @@ class StructureBuilder:
         return found
 
     def _read_strings(self) -> tuple[Indices, dict[str, Array]]:
-        """Read the nodes (k, 2) of strings, and their properties (k,) by name."""
+        """Read the nodes of strings, and their properties.
+
+        Nodes are (k, 2), and properties (k,) by name.
+        """
         members = [(pair, self._find_ends(pair), own) for pair, own in self.strings]
         kept = [(pair, ends, own) for pair, ends, own in members if ends is not None]
         self.strings = [(pair, own) for pair, _, own in kept]

@@ -35,7 +35,10 @@ class YamlEntry:
     value: dict[str, YamlEntry] | list[YamlEntry] | str
 
     def error(self, text: str) -> SceneFileError:
-        """Build an error with the message `text` that names file, line and key."""
+        """Build an error that names file, line and key.
+
+        `text` is its message.
+        """
         return SceneFileError(text, _name(self.source, self.path), self.line, self.key)
 
     def leave_out(self, text: str) -> None:
@@ -61,9 +64,9 @@ class YamlEntry:
                 yield key, entry
 
     def parts(self, count: int | None = None) -> list[YamlEntry]:
-        """Return the entries of a list, which must be `count` if given.
+        """Return the entries of a list.
 
-        An empty entry has none.
+        The list must have `count` entries, if this is given. An empty entry has none.
         """
         if self.value == "" and count is None:
             return []
@@ -162,7 +165,7 @@ def _count(node: Any, known: dict[int, int]) -> int:
 
 
 def _build_entry(source: Source, path: Path, key: str, node: Any) -> YamlEntry:
-    """Build the entries of a parsed YAML node and its descendants.
+    """Build the entries of a node and its descendants.
 
     The node has the key `key` in the file `path`. Raises SceneFileError if a key is repeated or is
     not text.
