@@ -262,9 +262,9 @@ def _report_choice(
 def _find_cheapest(ways: Sequence[Case], goal: AccuracyTarget) -> tuple[Choice | None, list[str]]:
     """Find the cheapest choice, and why others were rejected.
 
-    `ways` are these cases. Explicit schemes come first: implicit ones are compared with them. Fixed
-    steps that do not locate events are sufficient only if they are tiny: schemes with event
-    location show before how few may be tried.
+    `ways` are the cases to compare, and `goal` is the required accuracy. Explicit schemes come
+    first: implicit ones are compared with them. Fixed steps that do not locate events are
+    sufficient only if they are tiny: schemes with event location show before how few may be tried.
     """
     best: Choice | None = None
     notes, late = [], []

@@ -86,7 +86,7 @@ def analyze_scene(
 def _read_material(modulus: float | None, strength: float | None) -> Material | None:
     """Read the material of all members.
 
-    It has a modulus and a strength [Pa]. Returns None if both are missing. Raises ValueError.
+    `modulus` and `strength` are in Pa. Returns None if both are missing. Raises ValueError.
     """
     if modulus is None and strength is None:
         return None

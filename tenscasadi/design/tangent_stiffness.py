@@ -149,9 +149,10 @@ class TangentStiffness:
     def has_stiff_motions(self, q: Array) -> bool:
         """Return whether K is positive definite, by its inertia.
 
+        The inertia, the numbers of positive and negative eigenvalues, follows from a factorization.
         K, at force densities q (μ,) [N/m], acts on displacements that preserve the lengths of rigid
-        bars; a few fixed coordinates exclude rigid-body motions. A factorization gives the count
-        (Sylvester's law of inertia). The softest mode decides if rounding hides its stiffness.
+        bars; a few fixed coordinates exclude rigid-body motions. The softest mode decides if
+        rounding hides its stiffness from the inertia.
         """
         K, J = self.at(q)[self._others][:, self._others], self.J[:, self._others]
         zero = ROUNDING * float(np.abs(K.data).max(initial=0.0))

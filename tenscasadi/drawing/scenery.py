@@ -45,9 +45,9 @@ def grid_spacing(size: float, lines: int = STYLE.grid_lines) -> float:
 def find_view(content: ViewContent, margin: float) -> tuple[Array, Array]:
     """Find the corners of the visible box [m].
 
-    They are `low` and `high` (3,). It contains all motions and obstacles, the height fields below
-    and above them, and planes that are not too far away. The margin is relative to the size of the
-    content.
+    They are `low` and `high` (3,). The box contains all motions and obstacles, the height fields
+    below and above them, and planes that are not too far away. The margin is relative to the size
+    of the content.
     """
     (low, high), size = content.corners, content.size
     for center, radius in content.obstacles:

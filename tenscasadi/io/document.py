@@ -192,7 +192,7 @@ def _check_head(document: Document) -> None:
 def _find_included(item: Item, folder: Path) -> Path:
     """Find the path of an included file.
 
-    `item` contains its name. It is in the folder of the including file or below. Raises
+    `item` contains its name. The file is in the folder of the including file or below. Raises
     SceneFileError.
     """
     name = item.text('the name of a file, such as "mast.toml"')

@@ -209,7 +209,7 @@ def _join_names(names: list[str]) -> str:
 def _widen(ax: Axes) -> None:
     """Widen the vertical axis of a constant curve.
 
-    `ax` is the panel of the curve. Otherwise its rounding errors would fill the chart.
+    Otherwise its rounding errors would fill the chart. `ax` is the panel of the curve.
     """
     low, high = ax.get_ylim()
     if high - low < 1e-6 * max(abs(low), abs(high), 1e-6):

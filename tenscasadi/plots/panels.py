@@ -57,8 +57,8 @@ def css_color(k: int) -> str:
 def add_legend(figure: Figure, ax: Axes, count: int) -> None:
     """Add a legend of `count` curves beside the panels.
 
-    The curves are in the panel `ax`. It is below them if names are long. If it needed more than two
-    columns, only the number is written.
+    The curves are in the panel `ax`. The legend is below the panels if names are long. If it needed
+    more than two columns, only the number is written.
     """
     if count > 2 * MOST_LISTED:
         place: dict[str, Any] = {"xycoords": "axes fraction", "ha": "right", "va": "top"}

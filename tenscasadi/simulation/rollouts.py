@@ -197,9 +197,10 @@ def _record(model: Model, runs: Runs, verify: bool) -> Rollouts:
 
 
 def _find_weights(mech: Mechanism) -> Array:
-    """Find nodes of a mechanism that are affine combinations of others.
+    """Find nodes that are affine combinations of others, with weights.
 
-    The result (w, 3) has the dependent node, an independent node, and its weight in each row.
+    They are nodes of a mechanism. The result (w, 3) has the dependent node, an independent node,
+    and its weight in each row.
     """
     if mech.spread is None:
         return np.zeros((0, 3))

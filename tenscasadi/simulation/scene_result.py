@@ -76,9 +76,10 @@ def _read_scene(document: Document) -> dict[str, Any]:
 
 
 def format_largest(errors: Array, unit: str = "") -> str:
-    """Format the largest known error, with its unit, for a summary.
+    """Format the largest known error for a summary.
 
-    NaN and inf are ignored. Without another error the text is "not computed".
+    `unit` follows the number. NaN and inf are ignored. Without another error the text is "not
+    computed".
     """
     known = np.abs(errors[np.isfinite(errors)])
     return f"{known.max():.2g} {unit}".strip() if known.size else "not computed"

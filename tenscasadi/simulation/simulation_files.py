@@ -134,9 +134,9 @@ def load_simulation(path: FilePath) -> Simulation:
 
 
 def read_simulation(document: Document, scene: Scene) -> Simulation:
-    """Read the tables [start] and [simulation] of a scene file (`document`).
+    """Read the tables [start] and [simulation] of a scene file.
 
-    Raises SceneFileError.
+    `document` is its content. Raises SceneFileError.
     """
     item, first = document.section("simulation"), document.section("start")
     if item is None:

@@ -217,10 +217,10 @@ def _factorize(
 
 
 def _polish(program: _LeastForceProgram, point: _LeastForceIterate) -> tuple[Array, Array]:
-    """Refine γ − low and t of a point to rounding error.
+    """Refine γ − low and t to rounding error.
 
-    The active bounds are treated as equations. The iterate is kept if the solution contradicts this
-    active set.
+    `point` contains both. The active bounds are treated as equations. The iterate is kept if the
+    solution contradicts this active set.
     """
     A, B, w, low, _, weights, _ = program
     active = point.above < point.z

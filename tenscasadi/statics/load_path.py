@@ -246,9 +246,9 @@ def _read_change(
 
 
 def _read_parameters(scene: Scene, given: Any) -> Array:
-    """Read changes of parameters (np,), an array or a mapping of names.
+    """Read changes of parameters (np,).
 
-    Raises TypeError, ValueError.
+    `given` is an array, or a mapping of names to values. Raises TypeError, ValueError.
     """
     layout = scene.layout
     if given is None or not isinstance(given, Mapping):

@@ -69,9 +69,10 @@ def sparse_null_space(A: Any, tolerance: float) -> Array:
 
 
 def _reduce_bandwidth(A: Any) -> tuple[Any, Indices, Indices]:
-    """Order the rows of a matrix A for a small bandwidth.
+    """Order a matrix's rows for a small bandwidth.
 
-    Returns A in this order. Also returns the first row and the end of the rows of each column.
+    Returns the matrix A in this order. Also returns the first row and the end of the rows of each
+    column.
     """
     A = sp.csr_array(A, copy=True)
     A.eliminate_zeros()
@@ -98,11 +99,11 @@ def split_spaces(R: Array, zero: float) -> tuple[Array, Array]:
 
 
 def _expand(alone: Indices, blocks: list[tuple[Indices, Array, Array]], columns: int) -> Array:
-    """Assemble the null vectors, as rows, by backward recursion over the blocks.
+    """Assemble the null vectors by backward recursion over the blocks.
 
-    A block has its column indices in A, and two matrices: those by which the vectors of the next
-    block extend to these columns, and additional null vectors. `alone` are the zero columns of A,
-    and `columns` is the number of all its columns.
+    They are the rows of the result. A block has its column indices in A, and two matrices: those by
+    which the vectors of the next block extend to these columns, and additional null vectors.
+    `alone` are the zero columns of A, and `columns` is the number of all its columns.
     """
     begin = len(alone) + sum(null.shape[1] for _, _, null in blocks)
     basis = np.zeros((begin, columns))

@@ -381,7 +381,7 @@ def _impose(
 def describe_state(
     state: PrestressedState, structure: Structure, count: int | None = None
 ) -> Stability:
-    """Compute the softest modes of a state and a message about stability.
+    """Compute a state's softest modes and a message about stability.
 
     `count` is the number of modes; None means all of a small structure, otherwise a few.
     """

@@ -167,9 +167,10 @@ def _list_bends(structure: Structure) -> _Bends:
 
 
 def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
-    """Compute the rest lengths (α,) after slips (c,) at bends of cables [m].
+    """Compute the rest lengths (α,) after slips [m].
 
-    A positive slip lengthens the string before the node.
+    `slip` (c,) are those at the bends of cables [m]. A positive slip lengthens the string before
+    the node.
     """
     lengths = np.array(scene.structure.rest_length)
     np.add.at(lengths, bends.before, slip)
@@ -178,9 +179,10 @@ def _rest_lengths(scene: Scene, bends: _Bends, slip: Array) -> Array:
 
 
 def _find_slip_limits(lengths: Array, bends: _Bends) -> Array:
-    """Compute the largest possible slip (c,) at each bend of a cable [m].
+    """Compute the largest possible slip (c,) at each bend [m].
 
-    It is the shorter of the rest `lengths` (α,) of the two strings.
+    Bends are the inner nodes of cables. The limit is the shorter of the rest `lengths` (α,) of the
+    two strings [m].
     """
     return np.asarray(np.minimum(lengths[bends.before], lengths[bends.after]))
 

@@ -64,10 +64,11 @@ def _has_keyboard() -> bool:
 def run_on_executor(
     function: Function, cases: Mapping[Any, Any], executor: Executor
 ) -> Generator[tuple[Any, CaseOutcome], None, None]:
-    """Yield the keys and results of cases as an executor finishes them.
+    """Yield the results of cases as an executor finishes them.
 
-    `function` is called with each case. Cases that have not begun are canceled when the caller
-    stops early. Raises the exception of an executor that takes no jobs.
+    Each comes as a tuple with the key of its case. `function` is called with each case. Cases that
+    have not begun are canceled when the caller stops early. Raises the exception of an executor
+    that takes no jobs.
     """
     futures: dict[Future[CaseOutcome], Any] = {}
     try:
@@ -181,9 +182,9 @@ def _check_function(function: Function) -> None:
 
 
 def _check_worker(pool: ProcessPoolExecutor, function: Function) -> bool:
-    """Check that a worker process of a pool can import the function.
+    """Check that a worker process can import the function.
 
-    Raises RuntimeError if it cannot begin.
+    `pool` starts the process. Raises RuntimeError if it cannot begin.
     """
     try:
         return pool.submit(callable, function).result()

@@ -73,9 +73,9 @@ class Layer:
         self.draw(self.frame, None)
 
     def paint(self, tint: Rgb | None) -> None:
-        """Choose one color (`tint`) for all meshes; None restores their own.
+        """Choose one color for all meshes; None restores their own.
 
-        Meshes of one color are transparent.
+        `tint` is this color. Meshes of one color are transparent.
         """
         self.tint = tint
         self.shapes = MotionShapes(self._content, self._index, tint)
@@ -119,7 +119,10 @@ class Layer:
             batch.batched_colors = colors
 
     def _draw_hulls(self, nodes: Array) -> None:
-        """Move the hulls of rigid bodies with their nodes (n, 3) [m]."""
+        """Move the hulls of rigid bodies with their nodes.
+
+        The nodes are (n, 3) [m].
+        """
         start = self.shapes.motion.nodes[0]
         for k, hull in enumerate(self.shapes.hulls):
             own = np.unique(hull)
@@ -283,11 +286,17 @@ class Canvas:
                 layer.draw(frame._replace(nodes=frame.nodes + self._shift), self.scale, self.kinds)
 
     def locate(self, seen: Any) -> Array:
-        """Convert a position in the viewer (`seen`) to structure coordinates [m]."""
+        """Convert a position in the viewer to structure coordinates [m].
+
+        `seen` (3,) is the position.
+        """
         return np.asarray(seen, dtype=float) - np.asarray(self.root.position) - self._shift
 
     def shift(self, position: Any) -> Array:
-        """Convert structure coordinates (…, 3) to those of the drawn meshes [m]."""
+        """Convert structure coordinates to those of the drawn meshes [m].
+
+        Both are (…, 3).
+        """
         return np.asarray(position, dtype=float) + self._shift
 
 
@@ -299,9 +308,9 @@ def add_batch(
     colors: Bytes,
     opacity: float | None,
 ) -> Any:
-    """Add copies of a mesh with poses and colors under a name.
+    """Add copies of a mesh with poses and colors.
 
-    Without `opacity` (0 to 1) they are opaque. Returns viser's handle.
+    `name` is that of the batch. Without `opacity` (0 to 1) they are opaque. Returns viser's handle.
     """
     return scene.add_batched_meshes_simple(
         name,
@@ -372,7 +381,7 @@ def _add_surroundings(
 
 
 def _add_axes(scene: viser.SceneApi, root: str, content: ViewContent) -> None:
-    """Add labeled coordinate axes at the lower corner of the content.
+    """Add labeled coordinate axes at the content's lower corner.
 
     `root` is the start of their names.
     """

@@ -89,7 +89,10 @@ class ViewControls:
             )
 
     def show_forces(self, kind: str, shown: bool) -> None:
-        """Show or hide the arrows of a kind of forces, such as "load"."""
+        """Show or hide the arrows of a kind of forces.
+
+        An example of a kind is "load".
+        """
         self.canvas.kinds = (self.canvas.kinds | {kind}) if shown else (self.canvas.kinds - {kind})
         self.update_legend()
 
@@ -181,9 +184,10 @@ class ViewControls:
 
 
 def add_speed(gui: viser.GuiApi, speed: float, set_speed: Callable[[float], Any]) -> None:
-    """Add the menu of the playback speed to the controls `gui`.
+    """Add the menu of the playback speed.
 
-    Speeds are in simulated seconds per second. `set_speed` is called with each new one.
+    It belongs to the controls `gui`. Speeds are in simulated seconds per second. `set_speed` is
+    called with each new one.
     """
     current = f"{speed:g}"
     speeds = tuple(sorted({*SPEEDS, current}, key=float))

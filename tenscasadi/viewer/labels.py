@@ -129,9 +129,10 @@ def find_places(motion: Motion, kind: str, nodes: Array) -> Array:
 
 
 def describe_item(motion: Motion, frame: Frame, kind: str, index: int) -> str:
-    """Describe a node or member of a frame: name, nodes, and quantities.
+    """Describe a node or member: name, nodes, and quantities.
 
-    `kind` is "nodes", "bars" or "strings", and `index` counts the items of all copies.
+    The quantities are those of a frame. `kind` is "nodes", "bars" or "strings", and `index` counts
+    the items of all copies.
     """
     copy, own = divmod(index, motion.count(kind))
     name, number = motion.names[kind][own], f"{kind[:-1]} {own}"

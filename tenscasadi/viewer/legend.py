@@ -21,7 +21,10 @@ def build_legend(canvas: Canvas) -> str:
 
 
 def _build_scale(scale: ColorScale) -> str:
-    """Build the HTML color bar of a color scale with its numbers."""
+    """Build the HTML color bar with its numbers.
+
+    `scale` is the color scale.
+    """
     title = f"<div>{escape(scale.quantity)} of strings ({escape(scale.unit)})</div>"
     if scale.largest <= 0:
         return title
@@ -35,7 +38,10 @@ def _build_scale(scale: ColorScale) -> str:
 
 
 def _list_colors(canvas: Canvas) -> list[tuple[Rgb, str]]:
-    """List the colors in the picture of a canvas with their meaning."""
+    """List the colors in the picture with their meaning.
+
+    The picture is that of a canvas.
+    """
     content, first, scale = canvas.content, canvas.content.motions[0], canvas.scale
     single = first.copies == 1
     rows: list[tuple[Rgb, str]] = []

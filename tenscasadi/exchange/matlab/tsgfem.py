@@ -82,7 +82,7 @@ def convert_tsgfem(source: Source, variables: Variables, options: Variables) -> 
 def _read_cables(variables: Variables, count: int) -> Indices:
     """Read the cable of each member from the matrix S.
 
-    The result (count,) has indices of cables. A cable is a row of S.
+    A cable is a row of S. The result (count,) has the row of each member.
     """
     S: Any = variables.get("S")
     S = S.toarray() if issparse(S) and np.prod(S.shape) <= count**2 else S

@@ -176,7 +176,7 @@ class _NtrtReader:
     def _resolve(self, entry: YamlEntry, above: tuple[Path, ...]) -> Path:
         """Resolve the path of a substructure's file.
 
-        `entry` has this path as text. It must lie in the folder. It must be none of the files
+        `entry` has this path as text. The file must lie in the folder. It must be none of the files
         `above`, which include it.
         """
         path = entry.path.parent / entry.word()

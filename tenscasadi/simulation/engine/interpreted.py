@@ -68,7 +68,10 @@ class Before(NamedTuple):
     jumped: Array
 
     def select(self, which: Any) -> Before:
-        """Select some of the steps by an index array or a mask."""
+        """Select some of the steps.
+
+        `which` is an index array or a mask.
+        """
         return Before(*(one[which] for one in self))
 
 
@@ -238,9 +241,10 @@ class Loop:
         self._leave()
 
     def _count_joined(self) -> int:
-        """Count the intervals that one call of `_march` can advance through.
+        """Count the intervals that one march can advance through.
 
-        Those of one run are all together unless the state is changed or read between them.
+        See `_march`. The intervals of one run are all together unless the state is changed or read
+        between them.
         """
         q, backend = self.q, self.backend
         reads = backend.has("stage") or q.get("gains") is not None or q.get("clock") is not None
@@ -451,7 +455,10 @@ class Loop:
         q["carry"][motions] = np.hstack([head, self.memory, self.w])
 
     def _x(self, z: Array) -> Array:
-        """Select the states (n, nx) from z (n, nz), which also has external work."""
+        """Select the states (n, nx) from z.
+
+        z (n, nz) also contains external work.
+        """
         return np.ascontiguousarray(z[:, : self.sizes["nx"]])
 
     def _energy(self, measure: Array) -> Array:

@@ -128,9 +128,9 @@ class Runs(NamedTuple):
 
 
 def roll(request: Request, progress: bool = False) -> Runs:
-    """Compute the runs of a request, with a progress bar if requested.
+    """Compute the runs of a request.
 
-    Raises CompileError, ValueError.
+    With `progress`, a progress bar is shown. Raises CompileError, ValueError.
     """
     _check_memory(request)
     inputs = request.inputs
@@ -169,9 +169,9 @@ def roll(request: Request, progress: bool = False) -> Runs:
 
 
 def _check_memory(request: Request) -> None:
-    """Check that the saved rows of a request fit into memory.
+    """Check that the saved rows fit into memory.
 
-    Raises ValueError.
+    They are those of a request. Raises ValueError.
     """
     inputs, every = request.inputs, request.every
     rows = 1 - (-inputs.grid.steps // every) if every else 1

@@ -251,7 +251,10 @@ def _rename(name: str, function: ca.Function) -> ca.Function:
 
 
 def room_sizes(program: KernelFunctions) -> dict[str, int]:
-    """Return the sizes of the work arrays of a program's Functions."""
+    """Return the sizes of the Functions' work arrays.
+
+    The Functions are those of a program.
+    """
     functions = program.functions.values()
     return {
         "size_arg": max(10, *(f.sz_arg() for f in functions)),  # `decide` has 10 inputs
@@ -275,7 +278,7 @@ def write_model(program: KernelFunctions, single: bool = False) -> str:
 
 
 def write_lane_model(program: KernelFunctions, lanes: int) -> str:
-    """Generate C++ code that evaluates a program's Functions for several runs.
+    """Generate C++ code that evaluates a program for several runs.
 
     Each of the `lanes` of a SIMD register holds one run.
     """
@@ -284,10 +287,10 @@ def write_lane_model(program: KernelFunctions, lanes: int) -> str:
 
 
 def write_engine(program: KernelFunctions, single: bool = False, lanes: int = 1) -> str:
-    """Generate the C++ time loop for a program's Functions in another library.
+    """Generate the C++ time loop for Functions in another library.
 
-    It is used for all models with this Runge-Kutta tableau. With `single` it uses single precision.
-    Each step advances as many runs as `lanes`.
+    The Functions are those of a program. It is used for all models with this Runge-Kutta tableau.
+    With `single` it uses single precision. Each step advances as many runs as `lanes`.
     """
     head = ["#define SINGLE"] if single else []
     return "\n".join([*head, f"#define LANES {lanes}", _text("lanes.hpp"), *_engine(program)])
@@ -332,11 +335,11 @@ _SLOPE = "  if (evaluate(room, MODEL.ode, {{{at}, room.{held}}}, {{k{i}}})) retu
 
 
 def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  return 0;") -> str:
-    """Write C++ code for the stages of a step with a Runge-Kutta tableau.
+    """Write C++ code for the stages of a Runge-Kutta step.
 
-    `stages` are the numbers of those that affect the result. `held` is the C++ expression of the
-    inputs, and `end` the last line. Each stage takes one pass over the state; CasADi would take one
-    for each term. Rounding is that of `runge_kutta.build_step`.
+    `tableau` has its coefficients. `stages` are the numbers of those that affect the result. `held`
+    is the C++ expression of the inputs, and `end` the last line. Each stage takes one pass over the
+    state; CasADi would take one for each term. Rounding is that of `runge_kutta.build_step`.
     """
     lines = [
         "  const int64_t n = MODEL.nx + MODEL.work;",
@@ -352,9 +355,9 @@ def _write_stages(tableau: Tableau, stages: set[int], held: str, end: str = "  r
 
 
 def _write_trial(tableau: Tableau) -> str:
-    """Write C++ code for a step with error estimates by a Runge-Kutta tableau.
+    """Write C++ code for a Runge-Kutta step with error estimates.
 
-    It corresponds to `runge_kutta.build_trial`.
+    `tableau` has its coefficients. It corresponds to `runge_kutta.build_trial`.
     """
     count = len(tableau.b)
     lines = [
@@ -407,9 +410,10 @@ def _replace_branches(source: str) -> str:
 
 
 def _tables_lane_by_lane(source: str) -> str:
-    """Make C `source` code evaluate look-up tables one SIMD lane at a time.
+    """Evaluate look-up tables separately for each SIMD lane.
 
-    CasADi's code for tables branches on numbers, so it works on one double at a time.
+    `source` is the C code to change. CasADi's code for tables branches on numbers, so it works on
+    one double at a time.
     """
     used = _LOOK_UP.findall(source)
     if not used:

@@ -201,7 +201,10 @@ def _read_profile(profile: ControlProfile, nu: int, t_end: float) -> Controls:
 
 
 def _read_feedback(model: Model, feedback: Feedback, t_end: float) -> Controls:
-    """Check feedback, and extend its updates to the end `t_end` of the run [s]."""
+    """Check feedback, and extend its updates to the run's end.
+
+    The run ends at `t_end` [s].
+    """
     given, known = feedback.controls.shape[1], feedback.states.shape[1]
     clock = known - model.moving.stop  # not fed back
     if given != model.nu or clock not in (0, 1):

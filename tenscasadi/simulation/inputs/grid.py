@@ -33,7 +33,10 @@ class Changing(Protocol):
         """
 
     def find_breakpoints(self, first: float, last: float) -> Array:
-        """Find the times of jumps and kinks from `first` to `last` [s]."""
+        """Find the times of jumps and kinks [s].
+
+        They lie between `first` and `last` [s].
+        """
 
     def changing(self) -> ca.Function | None:
         """Build the function of time that steps must resolve, or None.
@@ -185,9 +188,10 @@ def build_grid(
 
 
 def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
-    """Add breakpoints `cuts` to the end times `edges` of intervals [s].
+    """Add breakpoints to the ends of intervals [s].
 
-    Breakpoints that equal other ends within the rounding error `error` are omitted.
+    The breakpoints are `cuts`, and the ends `edges`. Breakpoints that equal other ends within the
+    rounding error `error` are omitted.
     """
     t_end = float(edges[-1])
     inner = cuts[(cuts > 0) & (cuts < t_end)]
@@ -199,10 +203,11 @@ def _add_cuts(edges: Array, cuts: Array, error: float) -> Array:
 
 
 def _find_cuts(part: Changing, first: float, last: float, error: float) -> Array:
-    """Find the times of a function at which steps must end [s].
+    """Find the times at which steps must end [s].
 
-    They lie between `first` and `last` [s]. Each jump lies within a very short step of its own, so
-    that no Runge-Kutta stage evaluates it. `error` is the rounding error of the clock [s].
+    They depend on the function of `part`. They lie between `first` and `last` [s]. Each jump lies
+    within a very short step of its own, so that no Runge-Kutta stage evaluates it. `error` is the
+    rounding error of the clock [s].
     """
     times, function = part.find_breakpoints(first, last), part.changing()
     if function is None or not len(times):

@@ -106,7 +106,10 @@ def _compare_quadratures(
 
 
 def _lobatto(count: int) -> tuple[Array, Array]:
-    """Compute points (count,) in [0, 1] and weights of Gauss-Lobatto quadrature."""
+    """Compute points and weights of Gauss-Lobatto quadrature.
+
+    They are (count,), and the points lie in [0, 1].
+    """
     inner = np.polynomial.legendre.Legendre.basis(count - 1).deriv().roots()
     places = np.concatenate([[-1.0], np.sort(inner.real), [1.0]])
     at = np.polynomial.legendre.Legendre.basis(count - 1)(places)

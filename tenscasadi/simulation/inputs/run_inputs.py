@@ -142,10 +142,10 @@ def read_inputs(
     parameters: Any,
     many: bool,
 ) -> RunInputs:
-    """Read the inputs of a batch of runs (`many`), or of one run.
+    """Read the inputs of a batch, or of one run.
 
-    Arguments are those of `rollouts` or `simulate`, which messages name. Raises TypeError,
-    ValueError.
+    `many` selects a batch. Arguments are those of `rollouts` or `simulate`, which messages name.
+    Raises TypeError, ValueError.
     """
     end = positive_number("t_end", t_end)
     p = _read_parameters(model, parameters) if many else model.parameters.values(parameters)[None]
@@ -195,10 +195,11 @@ def choose_step(model: Model, scheme: Scheme, state: Array, p: Array, t_end: flo
 
 
 def _read_starts(model: Model, states: Any, p: Array, many: bool) -> Array:
-    """Read the initial states (n or 1, nx) of a batch (`many`), or of one run.
+    """Read the initial states (n or 1, nx).
 
-    None selects the model's initial state with the parameters `p` (n or 1, np). A state of a batch
-    that is not finite makes only its own run fail.
+    They are those of a batch (`many`), or of one run. None selects the model's initial state with
+    the parameters `p` (n or 1, np). A state of a batch that is not finite makes only its own run
+    fail.
     """
     if not many:
         if states is None:

@@ -70,9 +70,9 @@ def describe_violation(violation: float) -> str:
 
 
 def off_constraints(model: Model, state: Array, tolerance: float) -> str:
-    """Describe the constraint violation of a state (nx,) and the cure.
+    """Describe the constraint violation of a state and the cure.
 
-    "" if it is within `tolerance`.
+    The state is (nx,). Returns "" if the violation is within `tolerance`.
     """
     violation = constraint_violation(model, state)
     return "" if violation <= tolerance else describe_violation(violation)

@@ -428,10 +428,10 @@ class Tracer:
         return [row for _, row in sorted(found, key=lambda entry: entry[0])]
 
     def _is_bifurcation(self, place: PathPoint, k: int, values: Array, motions: Array) -> bool:
-        """Return whether the k-th softest mode at `place` indicates a bifurcation.
+        """Return whether the k-th softest mode indicates a bifurcation.
 
-        Its stiffness `values[k]` is then zero, and its mode `motions[:, k]` is orthogonal to the
-        load.
+        It is the mode of the path point `place`. Its stiffness `values[k]` is then zero, and its
+        mode `motions[:, k]` is orthogonal to the load.
         """
         push = self._push(place.point, place.factor)
         scale = self.system.stiffness_scale(place.point, place.tension)

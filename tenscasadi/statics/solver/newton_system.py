@@ -70,11 +70,14 @@ class NewtonSystem:
         return self._only_members.fill(values)
 
     def load_tangent(self, point: StaticPoint) -> Any:
-        """Build the unsymmetric stiffness matrix (free × free) due to loads at a point."""
+        """Build the unsymmetric stiffness matrix due to loads.
+
+        It is (free × free).
+        """
         return self._load_tangent.fill(self._values(point, np.zeros(self.rigid)))
 
     def is_symmetric(self, point: StaticPoint) -> bool:
-        """Return whether the stiffness due to loads at a point is symmetric.
+        """Return whether the stiffness due to loads is symmetric.
 
         It is symmetric for loads with an energy.
         """
@@ -107,7 +110,7 @@ class NewtonSystem:
         return sp.csr_array(pattern.fill(blocks.ravel()))
 
     def nodal_loads(self, point: StaticPoint) -> sp.csr_array:
-        """Build the symmetric load stiffness (3n × 3n) at a point.
+        """Build the symmetric load stiffness (3n × 3n).
 
         It is the symmetric part of the stiffness of loads that depend on the nodes.
         """
@@ -266,9 +269,10 @@ class NewtonSystem:
 
     @cached_property
     def _ordered(self) -> tuple[Indices, SparsePattern]:
-        """Position of each unknown in the order of elimination, and the pattern.
+        """Order of elimination, and the sparsity pattern in this order.
 
-        The pattern has the nonzeros of the Newton matrix in this order.
+        The order is the position of each unknown. The pattern has the nonzeros of the Newton matrix
+        in this order.
         """
         size, total = self.size, self.size + self.rigid
         bars = self._lengthening.shift(row=size)
@@ -369,9 +373,9 @@ class NewtonFactors:
         return np.asarray(self.factors.solve(self._load_bars(g))[self.order[: self.size]])
 
     def _load_bars(self, g: Array) -> Array:
-        """Build the right-hand side for given elongations g (rigid bars,) [m].
+        """Build the right-hand side for given elongations of rigid bars.
 
-        The penalty acts on them, too.
+        They are g (rigid bars,) [m]. The penalty acts on them, too.
         """
         target = self.penalty * (self._bar_columns @ g)
         target[self.order[self.size :]] = g

@@ -102,9 +102,9 @@ class PrestressedState:
         return np.hstack([self.neutral, motions[:, np.abs(values) <= zero]])
 
     def softest(self, count: int | None) -> tuple[Array, Array]:
-        """Compute the smallest eigenvalues of K (count,) [N/m] and their modes.
+        """Compute the smallest eigenvalues of K and their modes.
 
-        Modes are columns (free, count). None as count means all.
+        Eigenvalues are (count,) [N/m]. Modes are columns (free, count). None as count means all.
         """
         return softest_motions(self.tangent, self.lengthening, self.neutral, count)
 

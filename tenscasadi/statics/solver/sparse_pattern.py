@@ -126,9 +126,10 @@ def join_blocks(parts: Sequence[tuple[int, int, Any]], size: int) -> sp.csc_arra
 
 
 def _find_entries(block: Any) -> tuple[Indices, Indices, Array]:
-    """Find rows, columns and values of the nonzeros of a matrix `block`.
+    """Find rows, columns and values of a matrix's nonzeros.
 
-    Compressed formats are read directly, as their conversion by SciPy takes longer.
+    The matrix is `block`. Compressed formats are read directly, as their conversion by SciPy takes
+    longer.
     """
     if isinstance(block, np.ndarray):
         rows, columns = np.nonzero(block)

@@ -62,7 +62,10 @@ class Conditions(NamedTuple):
 
     @property
     def instant(self) -> tuple[Array, Array]:
-        """Slip distance [m] and time [s], as arguments of CasADi Functions."""
+        """Slip distance and time, as arguments of CasADi Functions.
+
+        They are in m and s.
+        """
         return np.array([self.slip]), np.array([self.time])
 
 
@@ -202,7 +205,10 @@ class StaticEquations:
         return normals
 
     def displace(self, nodes: Array, y: Array) -> Array:
-        """Displace nodes (n, 3) by changes y (free,) of the free coordinates [m]."""
+        """Displace nodes (n, 3) by free coordinates.
+
+        y (free,) are their changes [m].
+        """
         return np.asarray(nodes + (self.free @ y).reshape(nodes.shape))
 
     def at(self, nodes: Array, given: Conditions) -> StaticPoint:
@@ -230,7 +236,7 @@ class StaticEquations:
         return np.asarray(self._onto_free @ forces.ravel())
 
     def bar_forces(self, point: StaticPoint, tension: Array) -> Array:
-        """Compute the nodal forces (n, 3) of rigid bars at a point [N].
+        """Compute the nodal forces (n, 3) of rigid bars [N].
 
         The tensions (β_r,) are given [N].
         """
@@ -253,14 +259,17 @@ class StaticEquations:
         return np.asarray(allowed @ (allowed.T @ gathered) - gathered).reshape(total.shape)
 
     def spring_vectors(self, nodes: Array) -> Array:
-        """Compute the member vectors (·, 3) of springs [m] at nodes (n, 3).
+        """Compute the member vectors (·, 3) of springs [m].
 
-        Springs are strings, then elastic bars.
+        `nodes` (n, 3) are their positions [m]. Springs are strings, then elastic bars.
         """
         return np.asarray(self._across @ nodes)
 
     def bar_vectors(self, nodes: Array) -> Array:
-        """Compute the vectors (β_r, 3) of rigid bars [m] at nodes (n, 3)."""
+        """Compute the vectors (β_r, 3) of rigid bars [m].
+
+        `nodes` (n, 3) are their positions [m].
+        """
         return np.asarray(self._across_bars @ nodes)
 
     def bar_errors(self, nodes: Array) -> Array:

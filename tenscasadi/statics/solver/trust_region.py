@@ -308,10 +308,10 @@ class _SearchState:
         raise StalledError("no step leaves the saddle of the energy")
 
     def _move(self, p: Array, factors: NewtonFactors) -> Array | None:
-        """Displace the nodes by p (free,) and restore the bar lengths.
+        """Displace the nodes and restore the bar lengths.
 
-        `factors` are those of the Newton system at the iterate. Returns None if the lengths cannot
-        be restored.
+        p (free,) are the displacements [m]. `factors` are those of the Newton system at the
+        iterate. Returns None if the lengths cannot be restored.
         """
         return pull_to_bars(self.system, self.equations.displace(self.point.nodes, p), factors)
 
@@ -357,7 +357,7 @@ class _SearchState:
 def allowed_residual(
     system: NewtonSystem, point: StaticPoint, tension: Array, accuracy: float = ACCURACY
 ) -> float:
-    """Compute the unbalanced force at a point that counts as zero [N].
+    """Compute the unbalanced force that counts as zero [N].
 
     It is `accuracy` times the largest force of springs, rigid bars (`tension`) and loads, plus the
     rounding error of the spring forces.

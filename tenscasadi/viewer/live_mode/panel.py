@@ -101,10 +101,10 @@ class LivePanel:
         save: Callable[[], None],
         download: Callable[[Any], None],
     ) -> None:
-        """Add the buttons that save the recording to the controls `gui`.
+        """Add the buttons that save the recording.
 
-        `save` writes it to `path` on this machine, and `download` sends it to the browser. Without
-        a path there is no button for the former.
+        They belong to the controls `gui`. `save` writes it to `path` on this machine, and
+        `download` sends it to the browser. Without a path there is no button for the former.
         """
         if path is not None:
             gui.add_button("Save", hint=f"writes {path}").on_click(lambda _: self._do(save))
@@ -129,7 +129,10 @@ class LivePanel:
         self.pace.rest()
 
     def say(self, text: str) -> None:
-        """Display the message `text` until the next one or a reset."""
+        """Display a message until the next one or a reset.
+
+        `text` is the message.
+        """
         self._said = text
 
     def find_node(self, part: str, index: int, seen: Any) -> int:
@@ -195,7 +198,10 @@ class LivePanel:
                 entry.value = value
 
     def drive(self, place: int, value: float) -> None:
-        """Apply the value of the slider with the index `place` to the simulation."""
+        """Apply the value of a slider to the simulation.
+
+        `place` is the index of the slider.
+        """
         self._inputs[place][0].apply(self.simulation, value)
         self.refresh(place)
 

@@ -50,5 +50,8 @@ class Recording:
             )
 
     def rows(self) -> tuple[Indices, Array]:
-        """Return the numbers of recorded ticks (T,) and the rows (T, width)."""
+        """Return the recorded ticks (T,) and rows (T, width).
+
+        Ticks are numbered from the start.
+        """
         return np.array(self._ticks), np.array(self._rows)

@@ -162,9 +162,9 @@ def _is_local(host: str) -> bool:
 
 
 def _find_port(host: str, port: int | None) -> int:
-    """Check the port of a host, or find the first free one.
+    """Check the port, or find the first free one.
 
-    None selects a free port. Raises OSError.
+    `host` is the address to serve. Without a `port`, a free one is found. Raises OSError.
 
     viser itself would search without end if there is no such address.
     """
@@ -262,7 +262,10 @@ def _is_loopback(name: str) -> bool:
 
 
 def _restrict(connection: Any) -> None:
-    """Remove a connection's handlers of all messages that are not accepted."""
+    """Remove the handlers of all messages that are not accepted.
+
+    They are those of a connection to a page.
+    """
     handlers = connection._incoming_handlers
     for kind in list(handlers):
         if kind.__name__ not in _ACCEPTED:

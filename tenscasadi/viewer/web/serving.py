@@ -17,7 +17,10 @@ Own = TypeVar("Own", bound="Served")
 
 
 class Served:
-    """Base class of pages with a server (`_server`), which ``with`` closes."""
+    """Base class of pages with a server, which ``with`` closes.
+
+    The server is `_server`.
+    """
 
     _server: Any
 
@@ -50,10 +53,10 @@ def check_serving(browser: bool | None, wait: bool | None) -> None:
 def open_and_wait(
     url: str, hold: Callable[[], None], browser: bool | None, wait: bool | None
 ) -> None:
-    """Open the URL in the browser, and keep the script running.
+    """Open the browser, and keep the script running.
 
-    `hold` is a function that waits. By default, the browser is opened if there is a display, and
-    the script waits if it is one.
+    It shows the page at `url`. `hold` is a function that waits. By default, the browser is opened
+    if there is a display, and the script waits if it is one.
     """
     if browser if browser is not None else _has_display():
         webbrowser.open(url)
