@@ -55,7 +55,7 @@ class Outcome(NamedTuple):
     duration : float
         Duration [s].
     objective : float
-        Sum of the costs.
+        Sum of the costs; NaN if none was computed.
     success, status, iterations
         As in `Solution`.
     duals : Duals or None
@@ -91,7 +91,7 @@ def find_best_iterate(program: Program, monitor: Monitor) -> Solution:
     """Build the result of a solver that was stopped early.
 
     It is the best iterate that `monitor` has stored, or the initial guess of the program.
-    Relaxation variables at the end of its vector are removed.
+    Relaxation variables, which follow the variables of the program, are removed.
     """
     count, w = monitor.iterate or (0, program.first)
     return Solution(w[: len(program.first)], False, monitor.status(), count)

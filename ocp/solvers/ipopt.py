@@ -279,8 +279,8 @@ class BestIterate(ca.Callback):
     ) -> None:
         """Prepare for a run with given constraint bounds.
 
-        `lower` and `upper` are those of g. `leaving` is the solver if it stops at a saddle, else
-        None.
+        `lower` and `upper` are the bounds of the constraint values g. `monitor` can stop the run.
+        `leaving` is the solver if it stops at a saddle, else None.
         """
         self._lower, self._upper, self._monitor = lower, upper, monitor
         self._leaving = leaving
@@ -313,7 +313,8 @@ class BestIterate(ca.Callback):
     def eval_buffer(self, arg: Sequence[memoryview], res: Sequence[memoryview]) -> int:
         """Write whether to stop into `res`.
 
-        `arg` are the outputs of `nlpsol` at the current iterate.
+        `arg` are the outputs of `nlpsol` at the current iterate. Returns 0, which tells CasADi that
+        no error occurred.
         """
         w, f, g = (np.frombuffer(arg[k] or b"") for k in self._used)
         violation = float(
@@ -341,7 +342,10 @@ class BestIterate(ca.Callback):
 
 
 def _has_negative_curvature(solver: ca.Function) -> bool:
-    """Return whether IPOPT's last iterations found negative curvature."""
+    """Return whether IPOPT's last iterations found negative curvature.
+
+    IPOPT then regularizes the Hessian in each iteration.
+    """
     added = solver.stats()["iterations"]["regularization_size"][-BENT:]
     return len(added) == BENT and min(added) > 0.0
 
@@ -389,7 +393,10 @@ def _run(
 
 
 def _check_library(options: Mapping[str, Any]) -> None:
-    """Raise ValueError if a linear solver's library is missing."""
+    """Raise ValueError if a linear solver's library is missing.
+
+    `options` are those of IPOPT.
+    """
     name = options.get("linear_solver", "mumps")
     kind = "hsl" if str(name) in HSL else "pardiso" if name == "pardiso" else None
     if kind is None:

@@ -89,7 +89,7 @@ class Monitor:
     def limit(self, time_limit: float | None) -> Monitor:
         """Build the monitor of a part of the search.
 
-        It has a time limit [s] of its own. None is no limit.
+        The part has the time limit `time_limit` [s]; None is no limit.
         """
         return Monitor(time_limit, self._show, self._watch)
 
@@ -112,7 +112,7 @@ class Monitor:
         return None if self._worker is None else self._worker.iterate
 
     def status(self) -> str:
-        """Return the reason why the search has to stop, or ""."""
+        """Return the reason why the search has to stop, or "" if it has not."""
         if self.interrupted:
             return STOPPED
         return TIME_UP if self.left <= 0 else ""
@@ -148,7 +148,8 @@ class Monitor:
     def follow(self, now: Progress, iterate: Array | None = None) -> str:
         """Report the progress of a solver, and return `status`.
 
-        `iterate` are the decision variables of the best iterate so far.
+        `now` is the progress after an iteration. `iterate` are the decision variables of the best
+        iterate so far.
         """
         worker = self._worker
         if iterate is not None and worker is not None and worker.is_here:
@@ -190,7 +191,7 @@ class Monitor:
 def build_monitor(time_limit: Any, progress: Any) -> Monitor:
     """Build the monitor of a search from the arguments of `ocp.solve`.
 
-    Raises TypeError, ValueError.
+    `time_limit` [s] and `progress` are as there. Raises TypeError, ValueError.
     """
     watch = progress if callable(progress) else None
     if progress is not None and watch is None:

@@ -79,8 +79,9 @@ class Duals(Stored):
 def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: Array) -> Duals:
     """Convert scaled duals to physical units, with names.
 
-    `w` is the scaled solution; `rows` are the duals of the constraints, and `limits` those of the
-    bounds on variables. `target` converts duals of combined goal rows to those of the goals.
+    `w` is the scaled solution of the program; `rows` are the duals of its constraints, and `limits`
+    those of the bounds on variables. `target` converts duals of combined goal rows to those of the
+    goals.
     """
     names, values = [], []
     for part in _find_parts(program, target):
@@ -132,7 +133,14 @@ def warm_start_program(program: Program, target: Target, duals: Duals) -> Progra
 class _Part(NamedTuple):
     """Goal constraints of a waypoint or of the end.
 
-    `label` begins their names; `rows` are their places among the constraints.
+    Attributes
+    ----------
+    target : Target
+        Their goals.
+    label : str
+        Beginning of their names.
+    rows : slice
+        Their positions among the constraints of the program.
     """
 
     target: Target
@@ -143,7 +151,7 @@ class _Part(NamedTuple):
 def _find_parts(program: Program, target: Target) -> list[_Part]:
     """Find the goal constraints of waypoints and end.
 
-    `target` is that of the end, with those of the waypoints.
+    `target` is that of the end, with those of the waypoints. Those of the end are last.
     """
     goals = [(waypoint.target, waypoint.label) for waypoint in target.waypoints] + [(target, "")]
     imposed = [(part, label) for part, label in goals if part.count]
@@ -154,7 +162,7 @@ def _find_parts(program: Program, target: Target) -> list[_Part]:
 
 
 def _find_rest(program: Program) -> Indices:
-    """Find the constraints that do not belong to goals."""
+    """Find the indices of constraints that do not belong to goals."""
     goals = [np.arange(rows.start, rows.stop) for rows in program.rows("waypoint", "end")]
     return np.setdiff1d(
         np.arange(len(program.names)), np.concatenate([np.zeros(0, dtype=np.intp), *goals])

@@ -107,8 +107,9 @@ def find_rate_relaxation(
 ) -> Solution | None:
     """Find a solution with minimum relaxation of the rate limits.
 
-    `failed` is the result of the solver without relaxation. Returns None if the solver failed for
-    another reason, or if rate limits are not the cause.
+    `solver` solves the relaxed program. `failed` is its result for `program` itself. The solution
+    that is found does not count as a success. Returns None if the solver failed for another reason,
+    or if rate limits are not the cause.
     """
     stopped = (*NOWHERE, "Maximum_Iterations_Exceeded")
     if failed.success or failed.status not in stopped or not program.rows("rate"):
@@ -156,7 +157,7 @@ def find_rate_rows(program: Program) -> Indices:
 
 
 def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False) -> Relaxation:
-    """Relax the limits of constraints of some kinds.
+    """Relax the limits of constraints of the given kinds.
 
     With `controls`, limits of the controls are relaxed, too. Equal limits of one quantity share one
     relaxation variable, as do lower and upper limits of equal size. A limit 0 is not relaxed, as it
@@ -202,7 +203,7 @@ def relax_limits(program: Program, kinds: Sequence[Kind], controls: bool = False
 def _find_control_limits(program: Program) -> Block | None:
     """Convert the bounds on controls to constraints.
 
-    Returns None if no control has bounds.
+    Returns one block of constraints; None if no control has bounds.
     """
     known = program.parts.unknowns
     limited = np.isfinite(program.w_lower) | np.isfinite(program.w_upper)
@@ -218,10 +219,16 @@ def _find_control_limits(program: Program) -> Block | None:
 
 
 class _Relaxations(NamedTuple):
-    """Relaxation variables.
+    """Relaxation variables, one for each different limit.
 
-    `size` are the sizes of their limits, `most` their upper bounds, and `first` their initial
-    values relative to `size`.
+    Attributes
+    ----------
+    names : tuple of str
+        Their names.
+    size : ndarray, shape (m,)
+        Absolute values of the limits, scaled.
+    most, first : ndarray, shape (m,)
+        Upper bounds and initial values, relative to `size`.
     """
 
     names: tuple[str, ...]
@@ -236,7 +243,8 @@ def _find_relaxations(
     """Assign relaxation variables to the limits of blocks.
 
     The last variable is fixed at 0, for limits that are not relaxed. A relaxed limit does not
-    change its sign.
+    change its sign. Also returns the index of the variable of each lower and upper limit (2, count,
+    rows), for each block.
     """
     keys: dict[tuple[str, str, float], int] = {}
     groups = [_group_limits(block, keys) for block in blocks]
@@ -290,7 +298,8 @@ def _find_excess(program: Program, blocks: Sequence[Block], w: Array) -> list[tu
 def _add_relaxations(known: Unknowns, relaxations: _Relaxations) -> Unknowns:
     """Append the relaxation variables to the decision variables.
 
-    They are in units of their limits.
+    `known` are the decision variables of the program. Relaxation variables are in units of their
+    limits.
     """
     none = np.full(len(relaxations.size), np.inf)
     return Unknowns(

@@ -27,7 +27,7 @@ from tenscasadi.util.validate import Array, Indices
 class QuadraticRows(NamedTuple):
     """Residuals that are quadratic in scaled variables z.
 
-    They are c + A z + ½ zᵀ Q z.
+    They are c + A z + ½ zᵀ Q z, with a symmetric matrix Q for each residual.
 
     Attributes
     ----------
@@ -35,8 +35,10 @@ class QuadraticRows(NamedTuple):
         Names of the m residuals.
     c, A : ndarray, shape (m,) and (m, n)
         Constant and linear parts.
-    row, one, other, value : ndarray
-        Values of the nonzeros of Q, with their residual and the two variables.
+    row, one, other : ndarray of int
+        Residual, row and column of each nonzero of the matrices Q.
+    value : ndarray
+        Values of these nonzeros.
     """
 
     names: list[str]
@@ -65,7 +67,9 @@ class QuadraticRows(NamedTuple):
         return ~np.isin(np.arange(len(self.c)), self.row[self.value != 0])
 
     def hessian(self, multipliers: Array) -> sp.csr_array:
-        """Compute the Hessian (n, n) of multipliersᵀ residuals.
+        """Compute the Hessian (n, n) of a weighted sum of residuals.
+
+        The Hessian is that with respect to z.
 
         There is one multiplier for each of the m residuals.
         """
@@ -85,7 +89,8 @@ class QuadraticRows(NamedTuple):
 def read_quadratic(rows: RowFunction, names: Sequence[str]) -> QuadraticRows:
     """Select the residuals that are quadratic.
 
-    The others are dropped. A proof with fewer constraints is still valid.
+    The others are dropped. A proof with fewer constraints is still valid. `names` are those of all
+    residuals `rows`.
     """
     zero = np.zeros(len(rows.scale))
     c, A = rows(zero)
@@ -143,7 +148,7 @@ def prove_infeasible(
 def solve_affine(rows: QuadraticRows, box: Array) -> Array:
     """Minimize affine residuals by least squares within a box.
 
-    The unknown is the scaled state; `box` (2, n) are its limits.
+    Returns the scaled state z (n,); `box` (2, n) are its lower and upper limits.
     """
     if np.isfinite(box).any() and len(rows.c):
         return np.asarray(scipy.optimize.lsq_linear(rows.A, -rows.c, box, tol=1e-14).x)

@@ -51,7 +51,7 @@ def find_target(
 
     They are the nearest ones to the initial state, or to `near` at the same fraction of the
     duration. Raises `InfeasibleGoalError` for goals that are proven infeasible, and warns if no
-    state was found.
+    state was found. `near` maps a fraction of the duration to a state.
     """
 
     def find(share: float, goals: tuple[Goal, ...], label: str = "") -> Target:
@@ -152,10 +152,10 @@ class _TargetSearch:
         return self.impose(best, least <= ROUNDED)
 
     def _starts(self, near: Array) -> Iterator[Array]:
-        """Yield the starting points of the search.
+        """Yield the starting points y of the search.
 
-        They are the given state, the initial state, and states that approximately meet the goals,
-        each at several durations, then random changes of the given state.
+        They are the state `near`, the initial state, and states that approximately meet the goals,
+        each at several durations, then random changes of `near`.
         """
         problem = self.problem
         times = [self.typical]
@@ -183,7 +183,7 @@ class _TargetSearch:
         """Minimize the goal residuals, starting from y.
 
         The first pass has the constraints of bars, joints and clock only, the second one all
-        invariants.
+        invariants. Returns y at the end of the second pass.
         """
         goals = len(self.goals.names)
         rigid = sum(len(rows.units) for rows in self.invariants if rows.kind in RIGID)
@@ -197,9 +197,10 @@ class _TargetSearch:
         return np.append(y[:-1], np.clip(y[-1], self.shortest, self.longest))
 
     def _deforming(self, step: Array) -> Array:
-        """Remove the rigid-body translation from a change of y.
+        """Select the part of a change of y that deforms the structure.
 
-        Structures with pinned nodes have none.
+        This part changes positions only, without rigid-body translation. With pinned nodes there is
+        no such translation.
         """
         nq = self.problem.model.nq
         result = np.where(np.arange(len(step)) < nq, step, 0.0)
@@ -210,7 +211,8 @@ class _TargetSearch:
     def _straighten(self, y: Array) -> Array | None:
         """Move nodes inside strings to the straight line between the ends.
 
-        Strings that are modeled in segments have such nodes. Returns None if there are none.
+        Strings that are modeled in segments have such nodes. Returns the changed y, or None if
+        there are none.
         """
         model, s = self.problem.model, self.problem.model.structure
         parent = s.string_parent
@@ -340,10 +342,11 @@ class _TargetSearch:
         )
 
     def _find_shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:
-        """Find distances that change along directions.
+        """Find distances between nodes that change along directions.
 
-        They do not change with rigid-body motions. Returns combinations (k, m) of m squared
-        distances, their gradients, and the pairs (m, 2).
+        `directions` (ny, k) are scaled changes of y. Distances do not change with rigid-body
+        motions. Returns combinations (k, m) of m squared distances, their gradients (k, ny) with
+        respect to y, and the pairs (m, 2) of nodes.
         """
         structure = self.problem.model.scene.structure
         count = len(structure.nodes)

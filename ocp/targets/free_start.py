@@ -26,8 +26,8 @@ from tenscasadi.util.validate import Array
 def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
     """Build the constraints on a free initial state.
 
-    Returns None if it is fixed. Raises `InfeasibleGoalError` if the plan cannot be periodic, as in
-    free fall.
+    Returns None if the initial state is fixed. Raises `InfeasibleGoalError` if the plan cannot be
+    periodic, as in free fall.
     """
     if not problem.free_start:
         return None

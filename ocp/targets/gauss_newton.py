@@ -33,10 +33,13 @@ STARTS = 8  # starting points of a local search
 class GaussNewton:
     """Gauss-Newton method with minimum-norm steps in a metric.
 
-    The metric (ny, ny) applies to scaled unknowns y. With the mass matrix, steps neither rotate nor
-    translate an unsupported structure. `allowed` projects y onto the admissible values. `deforming`
-    selects the part of a scaled step that moves nodes relative to each other; steps along the rest
-    may be long, as residuals are nearly linear in it.
+    It reduces residuals r(y) with the Jacobian J, both scaled. Steps are in scaled unknowns, which
+    are y divided by `scale` (ny,). The `metric` (ny, ny) applies to them. With the mass matrix,
+    steps neither rotate nor translate an unsupported structure.
+
+    `allowed` projects y onto the admissible values. `deforming` selects the part of a scaled step
+    that moves nodes relative to each other; steps along the rest may be long, as residuals are
+    nearly linear in it.
     """
 
     def __init__(
@@ -55,7 +58,7 @@ class GaussNewton:
         """Minimize the goal residuals subject to the other residuals.
 
         The search starts at y. The first `goals` residuals are minimized; the others are zero at
-        the resulting y.
+        the result, up to rounding.
         """
         crawling = 0
         for _ in range(MAX_ITERATIONS):
@@ -83,9 +86,10 @@ class GaussNewton:
         return y
 
     def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
-        """Yield shortened steps from y that reduce the residuals.
+        """Yield values of y, one step from the given y, with smaller residuals.
 
-        They are along regular directions, along all directions, and along those of second order.
+        Steps are along regular directions, along all directions, and along those constrained only
+        to second order. `rows` are the residuals.
         """
         for step in self._steps(rows, y, NEARLY_SINGULAR, RESOLUTION):
             yield from self._shortened(rows, y, step, follow=False)
@@ -96,7 +100,8 @@ class GaussNewton:
     def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
         """Yield y after the first of step, step/2, … that reduces the residuals.
 
-        With `follow`, a Gauss-Newton step along regular directions corrects each trial first.
+        `step` is in scaled unknowns. With `follow`, a Gauss-Newton step along regular directions
+        corrects each trial first.
         """
         size = rows.size(y)
         for halvings in range(8):
@@ -113,8 +118,8 @@ class GaussNewton:
     def _steps(self, rows: RowFunction, y: Array, *rank_tolerances: float) -> Iterator[Array]:
         """Yield the Gauss-Newton step −J⁺ r for each rank tolerance.
 
-        It is in scaled unknowns. Singular values of J below the tolerance are omitted. Tolerances
-        are relative to the largest singular value.
+        r and J are the residuals `rows` and their Jacobian at y. Singular values of J below the
+        tolerance, relative to the largest, are omitted.
         """
         r, J = rows(y)
         inverse = self._pseudoinverse(J)
@@ -161,10 +166,11 @@ class GaussNewton:
         return solve
 
     def _soft_step(self, rows: RowFunction, y: Array) -> Array | None:
-        """Compute a step d from second derivatives.
+        """Compute a step d from second derivatives of the residuals at y.
 
         It solves c + b d + ½ dᵀ K d = 0 for the combinations of residuals with (nearly) zero
-        gradient. Returns None if there are no such combinations.
+        gradient. c, b and K are their values and first and second derivatives. Returns None if
+        there are no such combinations.
         """
         directions, W, K = soft_directions(rows, y, NEARLY_SINGULAR)
         if not directions.shape[1]:

@@ -32,8 +32,8 @@ def invariants(
     """Build residuals of the conserved quantities, by kind.
 
     They vanish at all states that a plan can reach. They are functions of the symbolic state x
-    (nx), `time` seconds after `start` (nx,), and of time²/2. Kinds are "bar", "joint", "clock",
-    "momentum" and "plane", if the model has them.
+    (nx), `time` seconds after `start` (nx,), and of `half_square`, time²/2. Kinds are "bar",
+    "joint", "clock", "momentum" and "plane", if the model has them.
     """
     half_square = time**2 / 2 if half_square is None else half_square
     N, V, clock = model.unpack(x)
@@ -77,7 +77,10 @@ def _exchange_momentum(scene: Scene) -> bool:
 
 
 def _numbers(model: Model, start: Array) -> tuple[Array, Array]:
-    """Evaluate the node matrices N and V at a state, one row per node."""
+    """Evaluate nodes (n, 3) [m] and velocities (n, 3) [m/s] at a state.
+
+    `start` (nx,) is the state.
+    """
     x = ca.SX.sym("x", model.nx)
     N, V, _ = model.unpack(x)
     values = ca.Function("columns", [x], [N, V])(start)
@@ -147,8 +150,16 @@ def _plane(N: Any, V: Any, N0: Array, V0: Array, gravity: Array) -> list[Rows]:
 class Body:
     """Part of the structure without forces from other parts.
 
-    It has its moving nodes and its translations and rotations with conserved momentum, see
-    `free_motions`.
+    Attributes
+    ----------
+    nodes : ndarray of int
+        Nodes that can move.
+    along : ndarray of bool, shape (3,)
+        Axes along which linear momentum is conserved.
+    rotations : list of (ndarray, ndarray)
+        Rotations (t, ω) with conserved momentum, see `free_motions`.
+    name : str
+        End of the names of its residuals, such as " of body 0".
     """
 
     nodes: Indices
@@ -233,9 +244,9 @@ def _momentum_rows(
 ) -> tuple[Any, tuple[str, ...], tuple[str, ...]]:
     """Build residuals of linear and angular momentum per mass.
 
-    They include the trajectory of the center of mass. `now` is N and V (3×n) as expressions of the
-    state x (nx), `times` are T and T²/2 after its start (nx,). `gravity` (3,) is in m/s². Returns
-    the residuals with their names and units.
+    They include the trajectory of the center of mass of `body`. `now` is N and V (3×n) as
+    expressions of the state x (nx), `start` (nx,) the initial state. `times` are the time T after
+    the start and T²/2. `gravity` (3,) is in m/s². Returns the residuals with their names and units.
     """
     time, half_square = times
     c, v, spin = _momenta(body, mech, *now)
@@ -262,7 +273,8 @@ def _momenta(body: Body, mech: Mechanism, N: Any, V: Any) -> tuple[Any, Any, Any
     """Compute center of mass, its velocity, and angular momenta.
 
     N and V (3×n) are positions and velocities of the nodes. Momenta are divided by the mass. Pinned
-    nodes are excluded. There is one angular momentum for each free rotation of the body.
+    nodes are excluded. There is one angular momentum for each free rotation of the body. Returns
+    expressions of (3,), (3,) and one entry per rotation.
     """
     own = np.isin(mech.physical, body.nodes)
     weight = np.asarray(mech.M.sum(axis=1)).ravel() * own

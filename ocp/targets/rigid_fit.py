@@ -18,7 +18,8 @@ def fit_start(model: Model, goals: Iterable[Any], state: Array) -> Iterator[Arra
     """Yield states that meet the goals better than `state`.
 
     The first states are rigid-body motions of the whole structure that fit the goals best. In the
-    last one, each node is at its goal position, irrespective of bar lengths.
+    last one, each node is at its goal position, irrespective of bar lengths. `state` (nx,) is the
+    given state.
     """
     structure, own = model.structure, list(goals)
     nodes, velocities = model.nodes(state), model.velocities(state)

@@ -44,7 +44,7 @@ class RowFunction:
         return len(range(self._code.count)[self._rows])
 
     def select(self, rows: slice) -> RowFunction:
-        """Select some of the residuals, without building new code."""
+        """Select the residuals `rows`, without building new code."""
         part = copy.copy(self)
         part._rows = rows
         return part
@@ -55,13 +55,14 @@ class RowFunction:
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
     def size(self, y: Array) -> float:
-        """Compute the norm of the scaled residuals."""
+        """Compute the norm of the scaled residuals at y."""
         return float(np.linalg.norm(self._code.value(y)[0].ravel()[self._rows]))
 
     def second_derivatives(self, y: Array) -> tuple[Indices, Indices, Indices, Array]:
-        """Compute the nonzero second derivatives of all residuals.
+        """Compute the nonzero second derivatives of all residuals at y.
 
-        Returns the residual and the two unknowns of each, and its scaled value.
+        Returns, for each nonzero, the index of the residual, the indices of both unknowns in y, and
+        the scaled value.
         """
         code = self._code.second
         entry = np.repeat(np.arange(len(code.row)), np.diff(code.pointers))
@@ -72,8 +73,8 @@ class RowFunction:
     def curvatures(self, y: Array, weights: Array, basis: Array) -> Array:
         """Compute second derivatives (j, k, k) of combined residuals.
 
-        They are those of wᵀ residuals along scaled directions (ny, k), for each column w of
-        `weights` (m, j).
+        The combinations are wᵀ residuals for each column w of `weights` (m, j). The derivatives are
+        along the columns of `basis` (ny, k), in scaled unknowns.
         """
         code, k = self._code.second, basis.shape[1]
         entries = code.function(y)[0].ravel()[code.order] * self.scale[code.other]
@@ -103,9 +104,19 @@ class RowFunction:
 class _Curvature(NamedTuple):
     """Sparse second derivatives of residuals as a CasADi Function.
 
-    The Function maps the unknowns y to the nonzeros of a sparse matrix. The matrix has a row for
-    each nonzero ∂r_row/∂y_one of the residuals' Jacobian, and a column for the unknown of the
-    second derivative.
+    The derivatives form a sparse matrix. It has a row for each nonzero ∂r_row/∂y_one of the
+    residuals' Jacobian, and a column for the unknown y_other of the second derivative.
+
+    Attributes
+    ----------
+    function : ArrayFunction
+        y → nonzeros of the matrix, column by column.
+    order : ndarray of int
+        Order that sorts the nonzeros by rows.
+    row, one : ndarray of int
+        Residual and unknown of each row of the matrix.
+    other, pointers : ndarray of int
+        Column of each sorted nonzero, and the first nonzero of each row (CSR format).
     """
 
     function: ArrayFunction
@@ -224,7 +235,8 @@ def soft_directions(
     At a prestressed equilibrium, string lengths determine the shape but their gradients do not.
     Returns scaled unit directions D (ny, k) outside the range of the gradients. Some combination of
     residuals with zero gradient (W (m, j)) has curvature along each of them. Also returns the
-    curvatures (j, k, k) of these combinations on D.
+    curvatures (j, k, k) of these combinations on D. `rows` are the residuals of y (ny,). Singular
+    values of the Jacobian, with rows of unit length, count as zero up to `rank_tolerance`.
     """
     _, J = rows(y)
     norms = np.linalg.norm(J, axis=1)

@@ -170,7 +170,7 @@ class Target:
     def begin_at(self, start: Array) -> Target:
         """Build the target for a given initial state.
 
-        Its goals then include periodicity.
+        `start` (nx,) is this state. The goals then include those of periodicity.
         """
         free = self.free_start
         if free is None:
@@ -210,7 +210,12 @@ class Target:
 class WaypointTarget(NamedTuple):
     """State that meets the goals of a waypoint, and their constraints.
 
-    `share` is the fraction of the duration at which it applies.
+    Attributes
+    ----------
+    share : float
+        Time of the waypoint as a fraction of the duration.
+    target : Target
+        The state and the constraints.
     """
 
     share: float

@@ -8,7 +8,11 @@ from tenscasadi.util.validate import LARGEST, Array, Booleans, Indices
 
 
 class VariableBounds:
-    """Bounds lower ≤ w ≤ upper on variables (n,)."""
+    """Bounds lower ≤ w ≤ upper on variables (n,).
+
+    `below` and `above` mark the finite lower and upper bounds, `free` the variables whose bounds
+    differ.
+    """
 
     def __init__(self, lower: Array, upper: Array) -> None:
         self.lower, self.upper = lower, upper
@@ -18,7 +22,8 @@ class VariableBounds:
     def gaps(self, w: Array) -> tuple[Array, Array]:
         """Compute the distances (n,) from lower and upper bounds.
 
-        Without a bound, the distance is LARGEST.
+        They are w − lower and upper − w for the variables w (n,). Without a bound, the distance is
+        the large number LARGEST.
         """
         low, high = np.full(len(w), LARGEST), np.full(len(w), LARGEST)
         low[self.below] = (w - self.lower)[self.below]
@@ -26,12 +31,15 @@ class VariableBounds:
         return low, high
 
     def barrier(self, w: Array) -> float:
-        """Compute the barrier function −Σ log(distance from bounds)."""
+        """Compute the barrier function −Σ log(distance from bounds).
+
+        The variables are w (n,). Infinite bounds do not count.
+        """
         low, high = self.gaps(w)
         return -float(np.log(low[self.below]).sum() + np.log(high[self.above]).sum())
 
     def barrier_slope(self, w: Array) -> Array:
-        """Compute the gradient of the barrier function."""
+        """Compute the gradient (n,) of the barrier function at w (n,)."""
         low, high = self.gaps(w)
         return self.above / high - self.below / low
 
@@ -53,7 +61,7 @@ class VariableBounds:
         """Shorten a step so that it stays within the bounds.
 
         Each component covers at most the fraction `most` of the distance to its bound, and keeps
-        the distance `least`.
+        the distance `least`. Returns the shortened step from w.
         """
         low, high = (
             np.where(gap > 2 * least, np.minimum(most * gap, gap - least), 0.5 * gap)
@@ -65,7 +73,8 @@ class VariableBounds:
         """Move slacks to the constraint values `true` within the bounds.
 
         Those that would come too close to a bound take the shortened step instead, see `cut`.
-        `most` and `least` are those of `cut`.
+        `most` and `least` are those of `cut`. `slack` are the slacks before, and `step` is their
+        Newton step. Returns the new slacks.
         """
         kept = [
             new >= (1 - most) * gap
@@ -90,7 +99,10 @@ class BoundDuals:
         return self.upper - self.lower
 
     def stiffness(self, w: Array) -> Array:
-        """Compute primal-dual second derivatives (n,) of the barrier."""
+        """Compute primal-dual second derivatives (n,) of the barrier.
+
+        They are Σ dual / distance over both bounds of each variable in w (n,).
+        """
         low, high = self.bounds.gaps(w)
         return self.lower / low + self.upper / high
 
@@ -149,7 +161,8 @@ class WorkingSet:
     def choose(self, stiffness: Array, left: Array) -> Indices:
         """Select constraints (p',) by barrier curvature and violation.
 
-        `stiffness` are the second derivatives of their barriers, `left` their violations.
+        `stiffness` are the second derivatives of their barriers, `left` their violations. Returns
+        the indices of the selected constraints.
         """
         if self.size:
             felt = stiffness * self.size > 1e-2  # of the metric
@@ -161,7 +174,8 @@ class WorkingSet:
 def select_stiffest(stiffness: Array, among: Booleans) -> Indices:
     """Select the 400 constraints with the largest barrier curvature.
 
-    `stiffness` (p,) are the curvatures; `among` marks the constraints that can be selected.
+    `stiffness` (p,) are the curvatures; `among` marks the constraints that can be selected. Returns
+    their indices in ascending order.
     """
     rows = np.flatnonzero(among)
     return np.sort(rows[np.argsort(stiffness[rows], kind="stable")[::-1][:400]])

@@ -26,7 +26,12 @@ class UndeterminedError(ValueError):
 class Residual(NamedTuple):
     """Violations of goals, of defects, and of path constraints.
 
-    Those of path constraints are their values minus the slacks.
+    Attributes
+    ----------
+    goals, defects : ndarray
+        Values minus required values, scaled.
+    paths : ndarray, shape (p,)
+        Values of the path constraints minus their slacks, scaled.
     """
 
     goals: Array
@@ -156,20 +161,27 @@ class CondensedProgram:
         return float(f[0]), goals, defects, g[self.path_rows]
 
     def slope(self, u: Array, s: Array) -> Array:
-        """Evaluate the gradient of the cost with respect to (u, s)."""
+        """Evaluate the gradient of the cost with respect to (u, s).
+
+        Its entries are in the order of the decision variables w, see `join`.
+        """
         return self._slope(self.join(u, s))[1].ravel()
 
     def hessian(self, u: Array, s: Array, duals: Array | None = None) -> SparseRows:
-        """Compute the Hessian of the Lagrangian in the order s, u.
+        """Compute the Hessian of the Lagrangian with respect to (s, u).
 
-        `duals` are those of all constraints; None for the Hessian of the cost.
+        Rows and columns are in this order. `duals` are those of all constraints; None for the
+        Hessian of the cost.
         """
         weights = np.zeros(len(self.program.lower)) if duals is None else duals
         values = self._hessian(self.join(u, s), np.zeros(0), np.ones(1), weights)[0].ravel()
         return self._second.at(values[self._symmetric])
 
     def jacobian_values(self, u: Array, s: Array) -> Array:
-        """Evaluate the nonzeros of the Jacobian of all constraints."""
+        """Evaluate the nonzeros of the Jacobian of all constraints.
+
+        The Jacobian is that with respect to all decision variables, at (u, s).
+        """
         return self._jacobian(self.join(u, s))[1].ravel()
 
 
@@ -211,7 +223,10 @@ class Expansion:
         return by_u - self._by_u.transposed_times(self._of.elimination.solve_transposed(by_s))
 
     def growth(self) -> float:
-        """Estimate the change of s per unit of the defects."""
+        """Estimate the change of s per unit of the defects.
+
+        It is the largest change of an entry of s if each defect changes by +1 or −1 at random.
+        """
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(self._s), 2))
         return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
 
@@ -228,14 +243,16 @@ class Expansion:
     def stiffness(self, of_paths: Array) -> Array:
         """Compute the Hessian's diagonal (n,) from path-constraint barriers.
 
-        The barriers have the second derivatives `of_paths` (p,).
+        It sums (∂c/∂u)² b'' over the path constraints c, where b'' (`of_paths`, (p,)) are the
+        second derivatives of their barriers.
         """
         return self._paths[1].squared().transposed_times(of_paths)
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
         """Compute the linearized change of s for a step of u.
 
-        It keeps the defects, or removes the given ones. A step None keeps u.
+        With this change, the values of the defect constraints remain the same, or the given
+        `defects` vanish. A step None keeps u.
         """
         push = np.zeros(len(self._s)) if step is None else -self._by_u.times(step)
         if defects is not None:
@@ -261,7 +278,8 @@ class Expansion:
         """Set the duals and barrier curvatures that `curvature` uses.
 
         The second derivatives of the path-constraint barriers are `stiffness` (p,). `goal_duals`
-        (m,) and `path_duals` (p,) are those of the constraints.
+        (m,) and `path_duals` (p,) are those of the constraints. The duals of the defects follow
+        from them.
         """
         of = self._of
         pull = self._slope_s + self._goals[0].transposed_times(goal_duals)
@@ -277,7 +295,8 @@ class Expansion:
     def curvature(self, step: Array, moved: Array) -> Array:
         """Multiply the condensed Hessian of the Lagrangian by a step of u.
 
-        `moved` is the change of s by the linearized dynamics.
+        `moved` is the change of s by the linearized dynamics. Includes the second derivatives of
+        the barriers. Returns a vector (n,).
         """
         by_s, by_u = np.split(self._second.times(np.append(moved, step)), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
@@ -338,7 +357,11 @@ class SparseRows(NamedTuple):
 
 
 class _SparseBlock:
-    """Rows and columns of a sparse matrix, built from its nonzeros."""
+    """Part of a sparse matrix that is filled from the nonzeros of the whole.
+
+    The whole matrix has nonzeros at (`row`, `column`). `rows` and `columns` are the new indices of
+    its rows and columns, −1 for those outside the part.
+    """
 
     def __init__(self, row: Indices, column: Indices, rows: Indices, columns: Indices) -> None:
         i, j = rows[row], columns[column]
@@ -370,7 +393,7 @@ def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:
 def _numbers(index: Indices, size: int) -> Indices:
     """Invert an index array.
 
-    The result (size,) has the place of each number in `index`, −1 for absent numbers.
+    The result (size,) has the position of each number in `index`, −1 for absent numbers.
     """
     result = np.full(size, -1, dtype=np.intp)
     result[index] = np.arange(len(index))

@@ -111,7 +111,11 @@ class InteriorPoint:
                 self.duals = nearest
 
     def _stand_between(self, point: Iterate) -> None:
-        """Evaluate the contributions of path constraints at an iterate."""
+        """Evaluate the contributions of path constraints at an iterate.
+
+        It computes their working set, the gradients of their barriers and the diagonal of the
+        Hessian that they add.
+        """
         bounds, left, free = self.of.path_bounds, point.left.paths, self.of.bounds.free
         self.path_stiffness = self.of_paths.stiffness(point.slack)
         self.chosen = self.working.choose(self.path_stiffness, left)
@@ -131,14 +135,18 @@ class InteriorPoint:
         self.others = self.expansion.stiffness(outside)
 
     def _gradient(self) -> Array:
-        """Compute the gradient of the cost with barrier terms."""
+        """Compute the gradient (n,) of the cost with barrier terms.
+
+        The gradient is that with respect to u.
+        """
         barriers = self.of.bounds.barrier_slope(self.point.u) + self.path_slope
         return np.asarray(self.slope + self.mu * barriers + self.path_pull)
 
     def error(self, mu: float) -> float:
         """Compute the optimality error at barrier parameter μ.
 
-        It is in units of `unit`.
+        It is the largest entry of the Lagrangian's gradient or of the complementarity errors, in
+        units of `unit`. `mu` is μ.
         """
         duals, count = self.of_bounds, self.of.goals
         gap = self.slope + self.duals @ self.rows[:count] + self.path_force + duals.net
@@ -150,7 +158,7 @@ class InteriorPoint:
     # --- the end ---
 
     def check_end(self) -> str:
-        """Return the reason why the method ends here, or ""."""
+        """Return the reason why the method ends here, or "" to go on."""
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
         if self.is_still(20, 0.02):
@@ -234,7 +242,7 @@ class InteriorPoint:
         """Find the first better iterate by backtracking along a step.
 
         `projector` is that of the step. Also returns the fraction of the step. Returns None if no
-        fraction is better.
+        fraction is better. The iterate is better in the sense of `_is_better`.
         """
         of, point, share = self.of, self.point, 1.0
         slope = self.slope + self.mu * of.bounds.barrier_slope(point.u)
@@ -265,7 +273,10 @@ class InteriorPoint:
         )
 
     def _most(self) -> float:
-        """Compute the fraction-to-the-boundary parameter of the step."""
+        """Compute the fraction-to-the-boundary parameter of the step.
+
+        A step covers at most this fraction of the distance to a bound.
+        """
         return max(0.99, 1 - self.mu / self.unit)
 
     def _is_close(self, point: Iterate) -> bool:
@@ -276,7 +287,8 @@ class InteriorPoint:
     def _is_better(self, point: Iterate, share: float, falling: float) -> bool:
         """Return whether an iterate has lower cost or violation.
 
-        `share` is the fraction of the step that leads to it, `falling` the directional derivative.
+        `share` is the fraction of the step that leads to it, `falling` the derivative of the cost
+        with barriers along the full step.
         """
         if not np.isfinite(point.total) or point.worst > self.funnel:
             return False

@@ -20,7 +20,9 @@ class Iterate(NamedTuple):
     u, s, slack : ndarray
         Independent and dependent variables, and slacks (p,) of the path constraints.
     left : Residual
-        Violations, with their sum `total` and the largest, `worst`.
+        Violations of the constraints.
+    total, worst : float
+        Sum of the absolute violations, and the largest one.
     cost : float
         Objective.
     """
@@ -37,7 +39,7 @@ class Iterate(NamedTuple):
 def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
     """Evaluate cost and constraints at an iterate.
 
-    `u`, `s` and `slack` are its variables, see `Iterate`.
+    `u`, `s` and `slack` are its variables, see `Iterate`. `of` is the program.
     """
     cost, goals, defects, paths = of.values(u, s)
     left = Residual(goals, defects, paths - slack)
@@ -49,8 +51,9 @@ def evaluate(of: CondensedProgram, u: Array, s: Array, slack: Array) -> Iterate:
 def step_back(expansion: Expansion, projector: Projector, chosen: Indices, point: Iterate) -> Array:
     """Compute the smallest step that removes the violations.
 
-    To first order, it satisfies goals, defects and the chosen path constraints. `projector` holds
-    the gradients of these constraints. Returns a step of u.
+    To first order, it satisfies goals, defects and the chosen path constraints. `chosen` are the
+    indices of the latter, and `projector` holds the gradients of goals and chosen constraints.
+    `expansion` has the derivatives, and `point` the violations. Returns a step of u.
     """
     drift = expansion.follow(None, point.left.defects)
     paths = (point.left.paths + expansion.path_change(drift, None))[chosen]
@@ -68,9 +71,10 @@ def move(
 ) -> Iterate:
     """Apply a step of u, and the step of s that follows from it.
 
-    `expansion` has the derivatives that give the step of s. It removes the fraction `share` of the
-    defects. The step of u is shortened at its bounds by `most` and `least`, see
-    `VariableBounds.cut`. Slacks change more slowly: otherwise they vanish before s has followed.
+    Both begin at the iterate `point`. `expansion` has the derivatives that determine the step of s,
+    which removes the fraction `share` of the defects. `most` and `least` shorten the step of u at
+    its bounds, see `VariableBounds.cut`. Slacks change more slowly: otherwise they vanish before s
+    has followed.
     """
     left, bounds, slack = point.left, of.path_bounds, point.slack
     d = of.bounds.cut(point.u, step, most, least)
@@ -86,8 +90,9 @@ def move(
 def polish(of: CondensedProgram, point: Iterate, tolerance: float) -> Iterate:
     """Find the nearest iterate that satisfies all constraints.
 
-    Changes are measured relative to the distances from the bounds. `tolerance` is the largest
-    permitted violation, scaled. If it is not reached, the result is the best iterate.
+    The search starts at `point`. Changes are measured relative to the distances from the bounds.
+    `tolerance` is the largest permitted violation, scaled. If it is not reached, the result is the
+    best iterate. `of` is the program.
     """
     for _ in range(12):
         if not point.worst > tolerance:

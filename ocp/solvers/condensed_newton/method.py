@@ -143,7 +143,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
     def _finish(self, search: InteriorPoint, status: str) -> Solution:
         """Build the solution that satisfies all constraints nearby.
 
-        It is near the last iterate of `search`.
+        It is near the last iterate of `search`. `status` is the reason why the iteration ended.
         """
         of, point = search.of, polish(search.of, search.point, 1e-11)
         goal_duals, path_duals, bound_duals = search.prices
@@ -162,7 +162,8 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
         """Find the nearest point that satisfies shifted constraint bounds.
 
         Near an optimum, its cost exceeds the minimum by a term of second order. `moved` is the
-        program with these bounds and the initial guess.
+        program with these bounds and the initial guess. `of` is the program that was solved; its
+        bounds are replaced.
         """
         of.move_rows(moved)
         u, s = moved.first[of.u], moved.first[of.s]

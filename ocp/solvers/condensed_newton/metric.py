@@ -80,20 +80,34 @@ class Projector:
         return float(np.sqrt(np.maximum(x @ self.times(x), 0.0)))
 
     def inner(self, x: Array) -> Array:
-        """Compute (J D⁻¹ Jᵀ + give)⁻¹ x for x (m + p,)."""
+        """Compute (J D⁻¹ Jᵀ + give)⁻¹ x for x (m + p,).
+
+        `give` are the compliances of the constraints on the diagonal.
+        """
         if self._factor is None:
             return x
         return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
-        """Compute the smallest step d with J d ≈ rows."""
+        """Compute the smallest step d with J d ≈ rows.
+
+        `rows` (m + p,) are the required changes of the constraints. The norm of d (n,) is that in
+        D.
+        """
         return np.asarray(self.spread.T @ self.inner(rows))
 
     def duals(self, force: Array) -> Array:
-        """Compute duals y (m,) that minimize the norm of force + Jᵀy."""
+        """Compute duals y (m,) that minimize the norm of force + Jᵀy.
+
+        `force` (n,) is the gradient of a function.
+        """
         return -self.inner(self.spread @ force)[: self.count]
 
     def project(self, force: Array) -> Array:
-        """Project a gradient onto the null space of J."""
+        """Project a gradient onto the null space of J.
+
+        The gradient is `force` (n,). The result is the step d (n,) with J d ≈ 0 that is nearest to
+        D⁻¹ force.
+        """
         w = self.metric.solve(force)
         return w - self.spread.T @ self.inner(self.jacobian @ w)

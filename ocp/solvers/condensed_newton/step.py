@@ -12,10 +12,12 @@ from tenscasadi.util.validate import Array, Indices
 
 
 class TrialStep(NamedTuple):
-    """Step d of the independent variables u.
+    """Step of the condensed Newton method.
 
     Attributes
     ----------
+    d : ndarray, shape (n,)
+        Step of the independent variables u.
     slack : ndarray, shape (p,)
         Step of the slacks with it.
     normal, tangential : float
