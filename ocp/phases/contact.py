@@ -27,7 +27,8 @@ PRESSED = 0.1
 def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float) -> list[Block]:
     """Build the friction-cone constraints of reactions and impulses.
 
-    Cones are about the normal of the ground. `least` is the minimum normal reaction [N].
+    `v` are the variables of a phase, `contact` its contact nodes. Cones are about the normal of the
+    ground. `least` is the minimum normal reaction [N].
     """
     place = v.states[0, contact.held].reshape(-1, 3)
     blocks = []
@@ -55,8 +56,9 @@ def height_blocks(
 ) -> list[Block]:
     """Build the ground clearance constraints of nodes without contact.
 
-    They remain above all grounds that act on them. The nodes `landing`, which land at the end of
-    the phase, are on the ground there.
+    `v` are the variables of a phase, `contact` its contact nodes. The nodes remain above all
+    grounds that act on them. The nodes `landing`, which land at the end of the phase, are on the
+    ground there.
     """
     size, coordinates = v.scales.length, v.model.entries
     blocks = []

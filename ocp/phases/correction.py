@@ -46,8 +46,8 @@ def correct(
     hardly decreases, contact nodes slip in the replay. The minimum normal reaction is then
     increased by `harder`, relative to a typical reaction. Rounds end at a fraction of the tolerance
     [m], where velocities count as velocity × duration. Only bounds of constraints change, so the
-    solver is built once. Returns the solution with the smallest error. `read` converts decision
-    variables to the arguments of `replay`.
+    solver is built once. `targets` are the goals of the phases. Returns the solution with the
+    smallest error. `read` converts decision variables to the arguments of `replay`.
     """
     again, best = None, solution
     least, residuals = _measure_replay(replay, *read(solution.w), targets)
@@ -91,8 +91,9 @@ def _measure_replay(
     """Replay a plan, and compute the goal residuals at the phase ends.
 
     The plan has mesh times (K + 1,) [s], states (K + 1, nx) and force densities `gamma` (K, α).
-    Returns the largest residual [m], and the residuals of all goals. Velocities count as velocity ×
-    duration. The largest residual is inf if the replay diverges or cannot be tracked.
+    `targets` are the goals of the phases. Returns the largest residual [m], and the residuals of
+    all goals. Velocities count as velocity × duration. The largest residual is inf if the replay
+    diverges or cannot be tracked.
     """
     count = len(gamma) // len(targets)
     found = replay(time, states, gamma)

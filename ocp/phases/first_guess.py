@@ -25,7 +25,8 @@ def guess_phases(
     States move smoothly from one phase's final state to the next, with zero velocity at both. In
     phases without goals they are constant. Force densities are random about a typical value, so
     that they differ between strings, and within their limits. `count` is the number of intervals of
-    a phase, and `weight` the weight of the structure [N]. `parts` are the problems of the phases.
+    a phase, and `weight` the weight of the structure [N]. `parts` are the problems of the phases,
+    `targets` their final states.
     """
     typical = TYPICAL_FORCE_DENSITY * weight / scales.length or scales.mass / scales.time**2
     drawn, nq, at = np.random.default_rng(0), parts[0].model.nq, targets[0].start

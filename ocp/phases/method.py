@@ -94,7 +94,7 @@ class PhasedTask(NamedTuple):
         return self.stages[0].variables.count
 
     def values(self, w: Array) -> list[PhaseValues]:
-        """Convert scaled decision variables to the trajectory of each phase."""
+        """Convert scaled decision variables w to the trajectory of each phase."""
         phases, count = len(self.parts), self.intervals
         states, gamma, durations = (one.full().T for one in self.program.unpack(w))
         y = self.stages[0].variables.entries.values(w)
@@ -118,8 +118,8 @@ class PhasedTask(NamedTuple):
     def joined(self, w: Array) -> tuple[Array, Array, Array]:
         """Join time, states and force densities of all phases.
 
-        Shapes are (K + 1,), (K + 1, nx) and (K, α) for K intervals of all phases. At an impact, the
-        state is that after it.
+        `w` are the scaled decision variables. Shapes are (K + 1,), (K + 1, nx) and (K, α) for K
+        intervals of all phases. At an impact, the state is that after it.
         """
         values, nodes = self.values(w), self.stages[0].variables.fractions
         durations = [
@@ -148,8 +148,8 @@ def solve_phased(
 
     The transcription must be a `Variational`, whose intervals are those of each phase. `tolerance`
     is the permitted distance of the `replay` from the goals [m]. Returns the result, and the target
-    of its acceptance test; None if it stopped before. Raises TypeError, ValueError or
-    InfeasibleGoalError.
+    of its acceptance test; the target is None if the search stopped before. Without a guess,
+    `guess_phases` builds one. Raises TypeError, ValueError or InfeasibleGoalError.
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
@@ -263,8 +263,8 @@ def _check_options(transcription: Transcription, guess: InitialGuess | None) -> 
 def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
     """Build the limits of the phases' end times.
 
-    An end time is the sum of the durations up to it. That of the first phase is limited by its
-    duration.
+    `stages` are the phases. An end time is the sum of the durations up to it. That of the first
+    phase is limited by its duration.
     """
     durations = np.concatenate([stage.variables.duration for stage in stages])
     blocks = []

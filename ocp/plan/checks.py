@@ -15,8 +15,8 @@ from tenscasadi.util.validate import LARGEST
 def check_plan(given: Mapping[str, Any]) -> None:
     """Check the fields of a plan for validity and consistency.
 
-    Raises ValueError, which names the first invalid field. Numbers that are not finite count as
-    unknown.
+    `given` are the fields by name. Raises ValueError, which names the first invalid field. Numbers
+    that are not finite count as unknown.
     """
     trajectory, model, structure = given["trajectory"], given["model"], given["structure"]
     if model is not None and trajectory.states.shape[1] != model.nx:

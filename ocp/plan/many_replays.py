@@ -170,8 +170,8 @@ def _control_as_planned(plan: Any, tracker: Any) -> tuple[Feedback | ControlProf
 def _convert_to_rest_lengths(plan: Any, tracker: Any) -> tuple[Feedback, float]:
     """Build a replay's rest-length control and longest time step.
 
-    It realizes the force densities of the plan, or of its tracking feedback, at the planned string
-    lengths s. The step is in seconds.
+    `tracker` is None in open loop. The control realizes the force densities of the plan, or of its
+    tracking feedback, at the planned string lengths s. The step is in seconds.
 
     With ρ = s (1 − γ/k) (Eq. 99), the feedback law γ_k − G (x − x_k) becomes ρ_k + (s/k) G (x −
     x_k).

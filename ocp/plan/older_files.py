@@ -37,8 +37,9 @@ _LAWS: Mapping[str, Any] = {
 def upgrade(content: Fields, trajectory: Trajectory) -> dict[str, Any]:
     """Convert a file of version 0.1 to plan fields.
 
-    They are structure, model, problem, transcription and solver. The model is None if the file has
-    none, or if its scene has functions of time. Raises ValueError for damaged content.
+    `content` are the arrays of the file, `trajectory` is the motion in it. The fields are
+    structure, model, problem, transcription and solver. The model is None if the file has none, or
+    if its scene has functions of time. Raises ValueError for damaged content.
     """
     none = dict.fromkeys(("model", "problem", "transcription", "solver"))
     unknown = {"not_restored": "its file is of an older version"}
@@ -74,7 +75,10 @@ def _read_solved(text: str) -> dict[str, Any]:
 
 
 def _convert(tree: Any) -> Any:
-    """Convert a parsed JSON value to scene-file format."""
+    """Convert a parsed JSON value to scene-file format.
+
+    Returns None for functions.
+    """
     if not isinstance(tree, dict):
         return tree
     (form, content), *_ = tree.items()
@@ -90,7 +94,7 @@ def _convert(tree: Any) -> Any:
 
 
 def read_structure(content: Fields) -> Structure:
-    """Restore a structure from arrays.
+    """Restore a structure from the arrays of a file.
 
     Raises ValueError, TypeError.
     """

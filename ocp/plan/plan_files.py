@@ -65,7 +65,7 @@ def _drop_functions(value: Any) -> Any:
 def read_parts(document: Document) -> dict[str, Any]:
     """Read model, problem, transcription and solver of a plan file.
 
-    It is the inverse of `write_parts`.
+    It is the inverse of `write_parts`. Parts that the file does not hold are None.
     """
     left_out = {name: item.text() for name, item in document.root.child("left_out").table().items()}
     item = document.section("plan")
@@ -79,7 +79,7 @@ def read_parts(document: Document) -> dict[str, Any]:
 def find_differences(one: Any, other: Any, name: str) -> Iterator[str]:
     """Yield the names of fields in which two values differ.
 
-    Rounding errors are no differences. `name` is that of the two values.
+    Rounding errors are no differences. `name` is that of the two values `one` and `other`.
     """
     if isinstance(one, Value) and type(one) is type(other):
         fields, others = one.to_fields(), other.to_fields()

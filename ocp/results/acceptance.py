@@ -198,7 +198,8 @@ def assess_plan(
 def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> _Verified:
     """Replay a plan and compute its terminal errors.
 
-    Errors are the distances from the goals, and from states within the terminal limits.
+    Errors are the distances from the goals, and from states within the terminal limits. `target`
+    has the goals. With `tracked`, the replay is that under the feedback of `track`.
     """
     found = replay(plan, tracked)
     failure = UNFINISHED if found is None else found.failure
@@ -210,7 +211,10 @@ def _verify(plan: PlanResult, target: Target, replay: Replay, tracked: bool) -> 
 
 
 def _measure(plan: PlanResult, target: Target, motion: Trajectory) -> _Verified:
-    """Compute the terminal errors of one replay."""
+    """Compute the terminal errors of one replay.
+
+    `motion` is the replay, `target` has the goals.
+    """
     errors = measure_errors(plan, target, interpolate_replays(motion.time, motion.states[None]))
     position, velocity = float(errors.position[0]), float(errors.velocity[0])
     if plan.problem is None:
@@ -224,8 +228,8 @@ def _measure(plan: PlanResult, target: Target, motion: Trajectory) -> _Verified:
 def find_missed_goal(plan: PlanResult, target: Target, tolerance: float) -> str:
     """Find the goal row that the plan itself violates most.
 
-    Waypoints refer to the interpolant by which they are imposed. Returns "" if the planned states
-    meet all goals within the tolerance [m].
+    Waypoints refer to the interpolant by which they are imposed. `target` has the goals. Returns ""
+    if the planned states meet all goals within the tolerance [m].
     """
     errors = measure_errors(plan, target, interpolate_plan(plan))
     return "" if errors.rows.max(initial=0.0) <= tolerance else errors.worst
@@ -241,9 +245,10 @@ def _violated(plan: PlanResult) -> bool:
 def describe_growth(plan: PlanResult, tolerance: float) -> str:
     """Describe the growth of errors in open loop.
 
-    Returns "" if the growth is small or unknown. In phases, the contact nodes of the plan do not
-    sink into the ground. The depth to which they sink at rest is an error that no finer mesh
-    reduces. If it grows beyond the tolerance, the growth is not small.
+    `tolerance` is that of the goals [m]. Returns "" if the growth is small or unknown. In phases,
+    the contact nodes of the plan do not sink into the ground. The depth to which they sink at rest
+    is an error that no finer mesh reduces. If it grows beyond the tolerance, the growth is not
+    small.
     """
     # A small error shifts the times of contact, which the state transition does not describe. In
     # phases they are given.
@@ -293,7 +298,10 @@ def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, mis
 
 
 def _advise(plan: PlanResult, found: Outcome) -> str:
-    """Advise how to reduce the error of the replay."""
+    """Advise how to reduce the error of the replay.
+
+    `found` is the result of the attempt.
+    """
     if plan.problem is not None and plan.problem.phases:
         return "give a harder ground, more damping of it, or longer phases"
     too_long = ""

@@ -82,10 +82,10 @@ def explain_failure(
 ) -> str:
     """Explain why a solver failed.
 
-    The message gives the cause, its cure, and the name of the largest violation. `state_at` returns
-    the planned states at a fraction of the duration. `step` is the longest step of its
-    discretization [s]; 0 omits the check of its length. `solution` is the last iterate of the
-    solver, `found` the same as states and controls.
+    `program` is the nonlinear program, `target` has its goals. The message gives the cause, its
+    cure, and the name of the largest violation. `state_at` returns the planned states at a fraction
+    of the duration. `step` is the longest step of its discretization [s]; 0 omits the check of its
+    length. `solution` is the last iterate of the solver, `found` the same as states and controls.
     """
     functions = [program.problem["f"], program.problem["g"]]
     values = ca.Function("values", [program.problem["x"]], functions)(solution.w)
@@ -156,7 +156,7 @@ def _describe_limits(
 def _find_overdetermined(target: Target, program: Program) -> str:
     """Find waypoints with more residuals than earlier controls can satisfy.
 
-    Returns a message, or "" if there are none.
+    `target` has the waypoints. Returns a message, or "" if there are no such waypoints.
     """
     unknowns, count = program.parts.unknowns, len(program.states) - 1
     controls = np.array(["of string" in name for name in unknowns.names])
@@ -202,8 +202,8 @@ def list_units(problem: Problem) -> Mapping[str, str]:
 def find_long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:
     """Explain that steps are too long for the fastest vibration.
 
-    States are (K + 1, nx), force densities (K, α) [N/m], step and duration in seconds. Returns ""
-    if the steps are short enough.
+    States are (K + 1, nx), force densities `gamma` (K, α) [N/m], step and duration in seconds.
+    Returns "" if the steps are short enough.
     """
     chosen = [
         k
@@ -222,7 +222,8 @@ def find_long_steps(model: Model, states: Array, gamma: Array, step: float, dura
 def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) -> str:
     """Find the constraint, cost or derivative that is not finite.
 
-    `f` is the cost and `g` are the constraints at the solution. Returns "" if there is none.
+    `f` is the cost and `g` are the constraints at the solution. Returns its name with a cure, or ""
+    if all are finite.
     """
     if not np.all(np.isfinite(g)):
         return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
@@ -254,7 +255,8 @@ def _cure(name: str) -> str:
 def _find_runaway(program: Program, solution: Solution) -> str:
     """Find the decision variable that diverges and has no bound.
 
-    Controls come first, as they make states grow. Returns "" if no variable is large.
+    Controls come first, as they make states grow. The variable is that of the last iterate. Returns
+    a message, or "" if no variable is large.
     """
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
@@ -275,7 +277,8 @@ def _find_runaway(program: Program, solution: Solution) -> str:
 def _list_active(names: tuple[str, ...], value: Array, lower: Array, upper: Array) -> list[str]:
     """List the names of entries at or above upper limits.
 
-    Entries with equal lower and upper limits do not count.
+    Values, names and limits have the shape (n,). Entries with equal lower and upper limits do not
+    count.
     """
     limited = np.isfinite(upper) & (lower < upper)
     return [names[k] for k in np.flatnonzero(limited) if value[k] > upper[k] - 1e-3 * abs(upper[k])]

@@ -71,8 +71,9 @@ def _search(
 ) -> tuple[PlanResult, str]:
     """Refine the mesh of a plan in several attempts.
 
-    `again` solves the problem with new options. Returns the plan and "", or the best plan and the
-    reason why it misses the tolerance.
+    `again` solves the problem with new options of the transcription. `tolerance` is that of the
+    replay [m]. Returns the plan and "", or the best plan and the reason why it misses the
+    tolerance.
     """
     solver = plan.solver
     if isinstance(solver, Sampling):
@@ -113,7 +114,8 @@ def _search(
 def _finer_mesh(plan: PlanResult, tolerance: float) -> dict[str, Any]:
     """Build the options of a transcription with a finer mesh.
 
-    Intervals with large defects are subdivided. With phases, all intervals are halved.
+    Intervals with large defects are subdivided, so that the replay meets the tolerance [m]. With
+    phases, all intervals are halved.
     """
     error, known = plan.worst_error, plan.transcription
     if known is not None and plan.problem is not None and plan.problem.phases:

@@ -151,8 +151,9 @@ def report_of(
 ) -> Report:
     """Build the report of a plan.
 
-    Limits are active at mesh points. Violations are those of the plan at mesh points, and those of
-    its replay.
+    The plan has times (K + 1,) [s], states (K + 1, nx), and controls (K, nu) or (K + 1, nu).
+    `duals` are None if unknown. Limits are active at mesh points. Violations are those of the plan
+    at mesh points, and those of its replay.
     """
     planned = _planned_limits(problem, time, states, controls)
     replayed = _limits_of_instants(problem, replay.time, replay.states, replay.control)
@@ -182,7 +183,10 @@ def report_of(
 def violated_limits(
     problem: Problem, time: Array, states: Array, controls: Array
 ) -> tuple[Finding, ...]:
-    """Find the limits that a plan violates at mesh points."""
+    """Find the limits that a plan violates at mesh points.
+
+    The plan has times (K + 1,) [s], states (K + 1, nx), and controls (K, nu) or (K + 1, nu).
+    """
     planned = _planned_limits(problem, time, states, controls)
     broken = [finding for one in planned for finding in one.findings(broken=True)]
     return _merge(broken, lambda one: abs(one.worst - one.limit))
@@ -233,7 +237,17 @@ def _find_dual(finding: Finding, duals: Duals | None) -> float:
 
 
 class _LimitedValues(NamedTuple):
-    """Values (n, m) of limited quantities at times (n,) [s]."""
+    """Values of limited quantities along a trajectory.
+
+    Attributes
+    ----------
+    limited : PathConstraint
+        The m quantities and their limits.
+    time : ndarray, shape (n,)
+        Times [s].
+    values : ndarray, shape (n, m)
+        Values, in the units of the quantities.
+    """
 
     limited: PathConstraint
     time: Array

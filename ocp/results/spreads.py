@@ -11,9 +11,9 @@ from tenscasadi.util.validate import finite_array, format_value, nesting, positi
 def check_variation(parameters: Any, start: Any) -> tuple[dict[str, float], tuple[float, float]]:
     """Check the spreads of parameters and of the initial state.
 
-    A spread is the half-width of a uniform distribution. Returns those of the parameters by name,
-    and those of positions [m] and velocities [m/s]. Raises TypeError or ValueError, also if nothing
-    varies.
+    A spread is the half-width of a uniform distribution. `start` is that of positions [m], or a
+    pair with that of velocities [m/s]. Returns those of the parameters by name, and those of
+    positions [m] and velocities [m/s]. Raises TypeError or ValueError, also if nothing varies.
     """
     spreads, place = check_spreads(parameters), check_start(start)
     if not spreads and not any(place):
@@ -55,7 +55,8 @@ def check_spreads(parameters: Any) -> dict[str, float]:
 def check_start(start: Any) -> tuple[float, float]:
     """Check the spreads of initial positions and velocities.
 
-    Returns them in m and m/s. Raises TypeError or ValueError.
+    `start` is a number [m], with zero spread of velocities, or both spreads [m, m/s]. Returns both.
+    Raises TypeError or ValueError.
     """
     if nesting(start) == 0:
         return positive_number("start", start, zero=True), 0.0

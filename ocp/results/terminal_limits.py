@@ -35,9 +35,10 @@ def measure_terminal_limits(
 ) -> TerminalViolation:
     """Find the terminal limit that a replay violates most.
 
-    The violation divided by the norm of the gradient is the distance from states within the limit.
-    The gradient is the larger of those at the planned and at the replayed final state, as quadratic
-    functions have none at their minimum. Velocities count as velocity × duration.
+    `motion` is the replay. The violation divided by the norm of the gradient is the distance from
+    states within the limit. The gradient is the larger of those at the planned and at the replayed
+    final state, as quadratic functions have none at their minimum. Velocities count as velocity ×
+    duration.
     """
     model, duration = problem.model, float(plan.time[-1])
     ends = np.array([plan.trajectory.states[-1], motion.states[-1]])
@@ -68,9 +69,9 @@ def measure_terminal_limits(
 def _measure(
     limited: PathConstraint, ends: Array, controls: Array, duration: float, scale: Array
 ) -> tuple[Array, Array]:
-    """Evaluate the violations (m,) and largest gradient norms (m,).
+    """Evaluate violations (m,) and gradient norms (m,) of m terminal limits.
 
-    Terminal limits are evaluated at states `ends` (k, nx) with controls (k, nu) at the time
+    The limits `limited` are evaluated at states `ends` (k, nx) with controls (k, nu) at the time
     `duration`. Violations are those of the last state, inf if undefined. Gradients with respect to
     the state are multiplied by `scale` (nx,), and their norms are the maxima over all states.
     """

@@ -73,7 +73,8 @@ def _list_goals(plan: Any) -> Iterator[tuple[float, Any]]:
 def _find_targets(timed: Iterable[tuple[float, Any]], planned: Motion) -> Array:
     """Find the target positions (k, 3) of nodes [m].
 
-    Along free axes they are those of the plan. `timed` are goals with their times [s].
+    Along axes without a goal they are the positions in the plan, `planned`. `timed` are goals with
+    their times [s].
     """
     targets = []
     for time, goal in timed:

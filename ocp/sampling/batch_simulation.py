@@ -217,7 +217,7 @@ class BatchSimulation:
         """Compute the scaled violations (n, m) of limits.
 
         The n trajectories have states (n, K + 1, nx) and controls (n, K, nu). With `last_only`,
-        only terminal limits count.
+        only terminal limits count. `duration` is in seconds.
         """
         n, count, nu = controls.shape
         ends, found = duration * np.append(0.0, np.cumsum(self.fractions)), [np.zeros((n, 0))]
@@ -256,7 +256,10 @@ class BatchSimulation:
         return np.maximum(np.maximum(value - rows.upper, rows.lower - value), 0.0).reshape(n, -1)
 
     def describe_worst(self, states: Array, controls: Array, duration: float) -> str:
-        """Describe the largest constraint violation of one trajectory."""
+        """Describe the largest constraint violation of one trajectory.
+
+        States are (K + 1, nx), controls (K, nu), and the duration is in seconds.
+        """
         missed = np.abs(self.misses(states[None], duration)[0])
         over = self.excess(states[None], controls[None], duration)[0]
         if not (np.all(np.isfinite(missed)) and np.all(np.isfinite(over))):
@@ -274,7 +277,8 @@ class BatchSimulation:
     def objective(self, states: Array, controls: Array, duration: float) -> float:
         """Compute the objective of one trajectory.
 
-        Running costs are integrated by the trapezoid rule.
+        States are (K + 1, nx), controls (K, nu), and the duration is in seconds. Running costs are
+        integrated by the trapezoid rule.
         """
         h, now = duration * self.fractions, symbolic(self.problem.model)
         ends, terms = (

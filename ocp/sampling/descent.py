@@ -74,8 +74,8 @@ class Descent:
         """Iterate until residuals are small.
 
         `wanted` (K, α) are the initial force densities. `over` reports progress and returns whether
-        to stop. `speed` multiplies the tolerance of velocities. Returns the best candidate and the
-        number of iterations.
+        to stop. `speed` multiplies the tolerance of velocities. There are at most `iterations`.
+        `duration` is in seconds. Returns the best candidate and the number of iterations.
         """
         self._speed = speed
         point, stalls = self._points(wanted[None], [duration])[0], 0
@@ -96,7 +96,8 @@ class Descent:
     def measure_finer(self, point: Candidate, finer: int) -> float:
         """Compute the largest residual in a simulation with finer steps.
 
-        `finer` multiplies the number of steps. The result is inf if the simulation diverges.
+        The candidate `point` is simulated with `finer` times as many steps. The residual is
+        relative to its tolerance, and inf if the simulation diverges.
         """
         motions = self._motions
         law, motions.law = motions.law, None
@@ -140,7 +141,10 @@ class Descent:
         ]
 
     def _step(self, point: Candidate) -> Candidate:
-        """Try steps with ten damping parameters, and return the best."""
+        """Try steps with ten damping parameters, and return the best.
+
+        Steps begin at the candidate `point`.
+        """
         problem, changes = self._motions.problem, self._changes
         lower, upper = problem.force_density_limits
         room = [
@@ -182,10 +186,10 @@ class Descent:
 
     @staticmethod
     def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
-        """Compute the Jacobian (m, n) by finite differences.
+        """Compute the Jacobian (m, n) of the residuals by finite differences.
 
-        Candidate k of `moved` differs from `point` by the change by[k]. Columns are 0 if a
-        simulation diverges.
+        It is that with respect to the unknowns. Candidate k of `moved` differs from `point` by the
+        change by[k] of unknown k. Columns are 0 if a simulation diverges.
         """
         slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
         return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
@@ -194,7 +198,8 @@ class Descent:
 def _find_bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
     """Minimize |r + J d|² + damping |d|² within limits of d.
 
-    `room` are the distances from the upper and the lower limits.
+    r (m,) are residuals and J (m, n) is their Jacobian. `room` are the distances from the upper and
+    the lower limits. Returns d (n,).
     """
     held, count = np.zeros(J.shape[1], dtype=bool), len(room[0])
     while True:

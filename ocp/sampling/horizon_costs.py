@@ -90,8 +90,9 @@ def build_running_cost(
 ) -> ca.Function:
     """Build the running cost per second, with penalties for limits.
 
-    `weight` multiplies the costs, not the penalties. `length` [s] is the duration over which a
-    penalty is averaged, and `strength` a typical force density [N/m].
+    The Function is (x, w) → cost, with w = [u; time]. `weight` multiplies the costs, not the
+    penalties. `length` [s] is the duration over which a penalty is averaged, and `strength` a
+    typical force density [N/m].
     """
     now, given = _instant(problem)
     running = cost_terms(problem.costs).express(problem.model).running
@@ -134,7 +135,10 @@ def _misses(problem: Problem, now: Instant, sizes: dict[str, float]) -> Any:
 
 
 def _broken(now: Instant) -> Any:
-    """Return whether the length error of a bar is large."""
+    """Build the condition that the length error of a bar is large.
+
+    It is a CasADi expression of the instant `now`.
+    """
     structure = now.model.scene.structure
     if not len(structure.bars):
         return ca.DM(0)
@@ -148,7 +152,7 @@ def _broken(now: Instant) -> Any:
 def _excess(rows: ScaledRows, *given: Any) -> Any:
     """Sum the scaled violations of path constraints.
 
-    `given` are the arguments of their Function.
+    `rows` are the constraints, and `given` the arguments of their Function.
     """
     value = rows.function(*given)
     return ca.sum1(ca.fmax(ca.fmax(value - ca.DM(rows.upper), ca.DM(rows.lower) - value), 0))

@@ -137,7 +137,10 @@ class _Method:
         self._iterations = 0
 
     def run(self, guess: Guess | None) -> Outcome:
-        """Improve the guess, then search until the goals are met."""
+        """Improve the guess, then search until the goals are met.
+
+        Without a guess (None), the search follows at once.
+        """
         try:
             if guess is not None:
                 self._polish(
@@ -184,7 +187,7 @@ class _Method:
     def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
         """Improve force densities by Gauss-Newton with finer and finer steps.
 
-        They are `wanted` (K, α), which change along `directions` (g, α) [N/m].
+        They are `wanted` (K, α) for a duration [s], and change along `directions` (g, α) [N/m].
         """
         misses = []
         # the first round admits ten times the final speeds
@@ -282,7 +285,10 @@ class _Method:
 
 
 def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Candidate:
-    """Simulate the default initial force densities."""
+    """Simulate the default initial force densities.
+
+    They are those of `given`, constant over the longest duration.
+    """
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
     gamma, states, _ = motions.roll(problem.initial_state[None], wanted[None], problem.longest)
@@ -290,6 +296,9 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
 
 
 def _swing(given: SamplingDefaults, problem: Problem) -> float:
-    """Estimate the fastest angular frequency of nodes [rad/s]."""
+    """Estimate the fastest angular frequency of nodes [rad/s].
+
+    `given` has the force densities and the effective mass.
+    """
     ends = count_strings_per_node(problem)
     return float(np.sqrt(ends * (given.strength + 2 * given.spread.mean()) / given.mass))

@@ -154,9 +154,9 @@ class Search:
     ) -> list[Lineage]:
         """Try random changes of the leg of each trajectory.
 
-        Returns the best change of each, or the trajectory itself if none is better. All have the
-        same duration [s]. The leg begins at the interval `first`. `basis` maps spline knots to
-        intervals, and `scale` multiplies the changes.
+        `lineages` are the trajectories. Returns the best change of each, or the trajectory itself
+        if none is better. All have the same duration [s]. The leg begins at the interval `first`.
+        `basis` maps spline knots to intervals, and `scale` multiplies the changes.
         """
         motions, duration, size = self._motions, lineages[0].duration, self._samples
         sizes = scale * SplineNoise(1.0, min_scale=0.03).sizes(size)[:, None, None]

@@ -103,7 +103,7 @@ class Sampling(NamedSolver, kind="Sampling"):
 def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:
     """Read groups of strings that share a control.
 
-    Raises TypeError, ValueError.
+    `field` names them in messages. Raises TypeError, ValueError.
     """
     try:
         return tuple(map(tuple, SplineNoise(1.0, groups=groups).groups or ()))

@@ -46,7 +46,7 @@ class ReducedCoordinates:
     def guess(self, value: InitialGuess | None) -> InitialGuess | None:
         """Convert an initial guess to reduced coordinates.
 
-        None remains None. Raises ValueError for arrays of another size.
+        `value` is the guess; None remains None. Raises ValueError for arrays of another size.
         """
         full = self.given.model
         if isinstance(value, TrajectoryGuess):
@@ -166,7 +166,10 @@ def _lower(full: Model, reduced: Model, states: Array) -> Array:
 
 
 def _lifted(twin: ReducedCoordinates, states: Array) -> Array:
-    """Convert states (…, nx) from reduced to full coordinates."""
+    """Convert states (…, nx) from reduced to full coordinates.
+
+    `twin` is the problem in both.
+    """
     full, reduced = twin.given.model, twin.problem.model
     parts = (
         values(states)[..., full.mechanism.physical, :]

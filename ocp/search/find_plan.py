@@ -42,8 +42,12 @@ from tenscasadi.util.troubleshooting import add_address
 class _PlanSearch(NamedTuple):
     """Arguments that all attempts of a search share.
 
-    `reduced` is None if the problem keeps its coordinates. `task` is the problem in the coordinates
-    of the solver.
+    Attributes
+    ----------
+    task : PlanningTask
+        Problem in the coordinates of the solver.
+    reduced : ReducedCoordinates or None
+        The problem in full and reduced coordinates; None if it keeps its coordinates.
     """
 
     task: PlanningTask
@@ -96,7 +100,7 @@ def _prepare(
 
     The final state is missing if the search has to stop before. Raises InfeasibleGoalError.
     `control` is the control profile, whose groups have to fit the limits. `guess` can be a plan,
-    near which the final state is found.
+    near which the final state is found. `tolerance` is that of the goals [m]; None for the default.
     """
     scales, near = Scales.of(problem), _interpolate_guess(problem, guess)
     limit = RELIABLE * scales.length if tolerance is None else tolerance
@@ -111,7 +115,8 @@ def _prepare(
 def _interpolate_guess(problem: Problem, guess: InitialGuess | None) -> StateAt | None:
     """Build the interpolant of a plan that serves as initial guess.
 
-    Returns None for other guesses, and for plans with other states.
+    It maps a fraction of the duration to a state. Returns None for other guesses, and for plans
+    with other states.
     """
     if not isinstance(guess, PlanResult) or guess.model is None or problem.phases:
         return None
@@ -181,7 +186,7 @@ def _explain(task: PlanningTask, plan: PlanResult) -> str:
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
     """Compute the key that sorts plans by quality.
 
-    Criteria are success, then an optimum, then the smaller error.
+    Criteria are success, then an optimum, then the smaller error. Better plans have larger keys.
     """
     return plan.success, is_inexact(plan), -plan.worst_error
 
@@ -225,7 +230,8 @@ def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> 
     """Find independent goal rows near the end of an optimum.
 
     They replace those imposed if the optimum misses goals that seemed dependent, see
-    `Target.dependent`. Returns None if the optimum meets the goals, or if no other rows are found.
+    `Target.dependent`. `found` is the result of the attempt. Returns None if the optimum meets the
+    goals, or if no other rows are found.
     """
     target, problem, duration = task.target, task.problem, float(plan.time[-1])
     if target is None or not target.met or not found.success or found.duals is None:

@@ -86,7 +86,10 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
 
 
 def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
-    """Build the replay function that tests plans with phases."""
+    """Build the replay function that tests plans with phases.
+
+    It is that of the attempt, and maps time, states and force densities to a `Replayed`.
+    """
 
     def replay(time: Array, states: Array, gamma: Array) -> Replayed:
         found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
@@ -157,7 +160,7 @@ def program_of(
 ) -> Program:
     """Build the nonlinear program that `solve` passes to its solver.
 
-    Errors are those of `solve`.
+    Errors are those of `solve`. Without a guess, the default guess is used.
     """
     instance("problem", problem, Problem, "an ocp.Problem")
     reject_phases(problem.phases, "export_program")
@@ -244,7 +247,10 @@ def _read_outcome(
     program: Program,
     found: Corrected,
 ) -> Outcome:
-    """Convert a solution to a result, and diagnose a failure."""
+    """Convert a solution to a result, and diagnose a failure.
+
+    `found` is the solution of the program, `target` has its goal rows.
+    """
     solution: Solution = found.solution
     states, controls, duration = (value.full() for value in program.unpack(solution.w))
     # interior-point methods violate bounds by their tolerance

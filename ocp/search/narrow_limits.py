@@ -73,8 +73,8 @@ def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> s
 def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float | None:
     """Find the shortest duration [s] that satisfies the limits.
 
-    It is inf if there is none up to `longest`, and None if the search is impossible or not
-    completed.
+    It is inf if there is no such duration up to `longest`, and None if the search is impossible or
+    not completed.
     """
     problem = task.problem
     if task.monitor.status() or problem.waypoints:
@@ -94,7 +94,10 @@ def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float |
 
 
 def _build(task: PlanningTask, target: Target) -> Program:
-    """Build a coarse nonlinear program from the default guess."""
+    """Build a coarse nonlinear program from the default guess.
+
+    `target` has the final state and the goal rows.
+    """
     problem = task.problem
     shape = MultipleShooting if problem.model.has_coupled_rates else Variational
     guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)

@@ -19,7 +19,7 @@ def record_plan(
 ) -> PlanResult:
     """Convert the result of an attempt to a plan.
 
-    The plan has no replay errors yet.
+    `found` is the result. The plan has no replay errors yet.
     """
     problem = task.problem
     mesh = (
@@ -57,7 +57,10 @@ def record_plan(
 
 
 def _record_motion(problem: Problem, mesh: Array, found: Outcome) -> Trajectory:
-    """Build the planned trajectory at the mesh points."""
+    """Build the planned trajectory at the mesh points.
+
+    `mesh` (K + 1,) are these times [s], `found` has the states and controls.
+    """
     controls = np.concatenate([found.force_density, found.force_density[-1:]])[: len(mesh)]
     with np.errstate(all="ignore"):
         return record_trajectory(

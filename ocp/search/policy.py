@@ -49,12 +49,15 @@ CONDENSED_BARS = 6  # number of bars from which the condensed method is faster
 
 
 class PlannedGuess(NamedTuple):
-    """Initial guess from a plan with force densities as control."""
+    """Initial guess from a plan with force densities as control.
+
+    `plan` has the trajectory, converted to the control of the problem.
+    """
 
     plan: TrajectoryGuess
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals."""
+        """Compute the guess on a number of equal intervals."""
         return self.plan.guess(problem, target, intervals)
 
 
@@ -115,14 +118,19 @@ class Attempt(NamedTuple):
 class _EvaluatedGuess(NamedTuple):
     """Initial guess with a stored value for one number of intervals.
 
-    `known` is the value; `origin` computes it for other numbers.
+    Attributes
+    ----------
+    origin : InitialGuess
+        Guess that is evaluated for other numbers of intervals.
+    known : Guess
+        The stored value.
     """
 
     origin: InitialGuess
     known: Guess
 
     def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
-        """Compute the guess on equal intervals."""
+        """Compute the guess on a number of equal intervals."""
         if intervals == len(self.known.force_density):
             return self.known
         return self.origin.guess(problem, target, intervals)
@@ -134,6 +142,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     """Yield the attempts at a problem in order.
 
     `find_plan` runs those that apply after the last failure, and stops at the first success.
+    `guess` is that of the user; None for the default one.
     """
     problem, model = task.problem, task.problem.model
     if task.target is None:  # phases have a method of their own
@@ -196,8 +205,9 @@ def build_force_density_attempt(
 ) -> Attempt | None:
     """Build the attempt with force densities as control.
 
-    Returns None if they cannot be the control, or if no final state was found. `accuracy` is the
-    accuracy of its transcription. `after` is the kind of failure after which the attempt runs.
+    Returns None if they cannot be the control, or if no final state was found. `guess` is a guess
+    for the control of the problem. `accuracy` is that of the transcription [m]. `after` is the kind
+    of failure after which the attempt runs.
     """
     twin = build_force_density_task(task)
     if twin is None or twin.target is None:
@@ -228,7 +238,7 @@ def limit_attempt_speeds(problem: Problem, attempt: Attempt) -> Attempt | None:
 def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
     """Build the same problem with force densities as control.
 
-    Returns None if there is none, see `build_force_density_problem`.
+    Returns None if there is no such problem, see `build_force_density_problem`.
     """
     twin = build_force_density_problem(task.problem)
     if twin is None or not task.problem.model.na:
@@ -241,7 +251,7 @@ def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
 def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | None:
     """Build the attempt that repeats a plan's method with a warm start.
 
-    Returns None unless the guess is a successful plan by a nonlinear program for the same control.
+    Returns None unless `guess` is a successful plan by a nonlinear program for the same control.
     """
     if not isinstance(guess, PlanResult) or not guess.success or guess.duals is None:
         return None
@@ -269,7 +279,7 @@ def complete(
 ) -> Attempt:
     """Build the attempt with the user's transcription and solver.
 
-    Defaults replace a missing one. `guess` is None for the default guess.
+    Defaults replace those that are None. `guess` is None for the default guess.
     """
     solver = Ipopt() if solver is None else solver
     if transcription is None:
@@ -313,7 +323,10 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
 
 
 def choose_intervals(problem: Problem, guess: Guess) -> int:
-    """Choose a number of intervals that resolves the fastest vibration."""
+    """Choose a number of intervals that resolves the fastest vibration.
+
+    The vibration is that at the middle of the guess.
+    """
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
     # Plans under rest-length control hardly excite vibrations; corrections remove the rest.

@@ -10,7 +10,7 @@ from ocp.results.result import PlanResult, Replayed
 def replay_plan(plan: PlanResult, tracked: bool) -> Replayed:
     """Replay a plan, under `track` if `tracked` is True.
 
-    If no gains are found, the failure gives the reason.
+    If no feedback gains are found, the result has no replay, and `failure` gives the reason.
     """
     if not tracked:
         return replay_in_doubt(plan, plan.require_model("replay"))

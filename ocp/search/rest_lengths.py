@@ -83,9 +83,10 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
 
 
 def limit_speeds(problem: Problem, twin: Problem) -> Problem | None:
-    """Impose rate limits at the start of intervals, in addition to the means of intervals.
+    """Add limits of rest-length rates at the start of intervals.
 
-    Returns None if `problem` has none. `twin` is the problem in force densities.
+    The limits of mean rates over the intervals remain. Returns None if `problem` has no such
+    limits. `twin` is the problem in force densities.
     """
     rates = combine_rates(problem.model.scene.structure, problem.bounds)
     if not np.isfinite(rates).any():
@@ -97,10 +98,11 @@ def limit_speeds(problem: Problem, twin: Problem) -> Problem | None:
 
 @dataclass(frozen=True, eq=False)
 class RestLengthSpeeds(RateBound):
-    """Limits (α,) [m/s] of rates of rest lengths at the start of intervals, and of their means.
+    """Limits of rest-length rates at the start of intervals, and of their means.
 
-    Converted rest lengths ρ = s (1 − γ/k) + c ṡ/k are held to the limits on a finer mesh. Limits of
-    mean rates alone would permit rates that alternate within the intervals.
+    The limits are `rate` (α,) [m/s]. Converted rest lengths ρ = s (1 − γ/k) + c ṡ/k are held to the
+    limits on a finer mesh. Limits of mean rates alone would permit rates that alternate within the
+    intervals.
     """
 
     rate: Array
@@ -124,16 +126,17 @@ class RestLengthSpeeds(RateBound):
 
 @dataclass(frozen=True, eq=False)
 class InitialForces(PathBound):
-    """Constraint on the initial force densities (α,) [N/m].
+    """Constraint that prescribes the initial force densities.
 
-    Rest lengths with limited rates cannot jump at the start, and neither can these forces.
+    They are `force_density` (α,) [N/m]. Rest lengths with limited rates cannot jump at the start,
+    and neither can these forces.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("first",)
     force_density: Array
 
     def limit(self, now: Instant) -> Limit:
-        """Build the force densities at an instant, and their required values."""
+        """Build the force densities at the instant `now`, and their required values."""
         names = tuple(
             f"initial force density of string {k}" for k in range(len(self.force_density))
         )
@@ -176,7 +179,7 @@ def drop_internal_states(model: Model, states: Array) -> Array:
 def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
     """Convert a guess for rest lengths to force densities.
 
-    It may also be one for their rates.
+    The guess may also have rates of rest lengths as control.
     """
     middle = (guess.states[1:] + guess.states[:-1]) / 2
     forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
@@ -243,7 +246,10 @@ def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outco
 
 
 def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
-    """Compute the tensions (K, α) [N] at rest lengths `rest` [m]."""
+    """Compute the tensions (K, α) [N] at rest lengths `rest` [m].
+
+    States are (K, nx), rest lengths (K, α).
+    """
     lengths = distances(model.nodes(states), model.structure.strings)
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
@@ -251,11 +257,11 @@ def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
 def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
     """Convert a result in force densities to rest lengths.
 
-    `fractions` are the lengths of the intervals relative to the duration. The rest lengths are
-    linear on parts of the intervals, short enough that the force densities between their ends are
-    nearly those of the plan. The result fails if they violate a limit of the problem. As in the
-    nonlinear programs of elastic strings, strings do not go slack (see `build_smooth_model`); the
-    description of the result names those that would.
+    `found` is the result. `fractions` are the lengths of the intervals relative to the duration.
+    The rest lengths are linear on parts of the intervals, short enough that the force densities
+    between their ends are nearly those of the plan. The result fails if they violate a limit of the
+    problem. As in the nonlinear programs of elastic strings, strings do not go slack (see
+    `build_smooth_model`); the description of the result names those that would.
     """
     converter = _Converter(problem, fractions, found)
     smooth = replace(problem, model=converter.model)

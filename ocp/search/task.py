@@ -102,7 +102,7 @@ def check_groups(problem: Problem, profile: Profile) -> None:
 def check_start(limits: LimitCheck, start: Array) -> None:
     """Check that some control satisfies all limits at the start.
 
-    Raises ValueError if there is none.
+    `start` (nx,) is the initial state. Raises ValueError if no control does.
     """
     conflict = limits.find_conflict(start, "start")
     if conflict is not None:
@@ -116,7 +116,7 @@ def check_start(limits: LimitCheck, start: Array) -> None:
 def check_end(limits: LimitCheck, target: Target) -> None:
     """Check that limits permit the coordinates prescribed by goals.
 
-    Raises InfeasibleGoalError if they do not.
+    `target` has the goals. Raises InfeasibleGoalError if limits do not permit them.
     """
     if target.state is None:
         return

@@ -155,7 +155,7 @@ class Body:
     nodes : ndarray of int
         Nodes that can move.
     along : ndarray of bool, shape (3,)
-        Axes along which linear momentum is conserved.
+        Axes along which no node is pinned.
     rotations : list of (ndarray, ndarray)
         Rotations (t, ω) with conserved momentum, see `free_motions`.
     name : str

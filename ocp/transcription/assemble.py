@@ -35,7 +35,13 @@ _Summand = tuple[Any, Any, Indices]
 
 
 class ProblemBlocks(NamedTuple):
-    """Constraints and costs of a problem, without its dynamics."""
+    """Constraints and costs of a problem, without its dynamics.
+
+    Attributes
+    ----------
+    rows, costs : list of Block
+        Blocks of constraints, and of cost terms.
+    """
 
     rows: list[Block]
     costs: list[Block]
@@ -45,6 +51,15 @@ class Stage(NamedTuple):
     """Decision variables, constraints and costs of a phase.
 
     A plan without phases is one stage.
+
+    Attributes
+    ----------
+    variables : Variables
+        Decision variables on the mesh of the phase.
+    blocks : ProblemBlocks
+        Constraints and costs without the dynamics.
+    defects : Defects
+        Discretized equations of motion.
     """
 
     variables: Variables
@@ -76,7 +91,7 @@ def build_program(
     """Build the nonlinear program of a problem.
 
     `target` has the initial state and the goals. `scales` make variables and constraints order one;
-    they are those of the initial guess.
+    they are those of the initial guess. `guess` is the initial guess on equal intervals.
     """
     own = transcription.fractions, transcription.control
     return assemble([build_stage(transcription, Variables(problem, target, scales, guess, *own))])
@@ -141,7 +156,10 @@ def assemble(stages: Sequence[Stage], linkage: Sequence[Block] = ()) -> Program:
 
 
 def build_path_blocks(v: Variables) -> list[Block]:
-    """Build the path constraints and the rate limits."""
+    """Build the path constraints and the rate limits.
+
+    `v` are the decision variables of the plan or phase.
+    """
     limits = scaled_rows(v.problem, PathBound, v.scales, v.strength)
     blocks = [_build_bound(v, rows, end) for rows in limits for end in rows.ends]
     if v.problem.free_start:  # a fixed start was checked before
@@ -161,7 +179,8 @@ def build_path_blocks(v: Variables) -> list[Block]:
 def build_cost_blocks(v: Variables) -> list[Block]:
     """Build all cost terms.
 
-    They are integrals, functions of neighboring controls, and functions of one instant.
+    They are integrals, functions of neighboring controls, and functions of one instant. `v` are the
+    decision variables of the plan or phase.
     """
     terms = cost_terms(v.problem.costs).express(v.model)
     found = [_build_integral(v, one) for one in terms.control]
@@ -176,7 +195,10 @@ def build_cost_blocks(v: Variables) -> list[Block]:
 
 
 def build_start_blocks(v: Variables) -> list[Block]:
-    """Build the constraints on a free initial state."""
+    """Build the constraints on a free initial state.
+
+    `v` are the decision variables. The list is empty for a given state.
+    """
     free = v.target.free_start
     count = 0 if free is None else free.start.size1_out(0)
     if free is None or not count:
@@ -194,7 +216,8 @@ def build_start_blocks(v: Variables) -> list[Block]:
 def build_waypoint_blocks(v: Variables) -> list[Block]:
     """Build the constraints of all waypoints.
 
-    The state at a waypoint is interpolated between the ends of its interval.
+    The state at a waypoint is interpolated between the ends of its interval. `v` are the decision
+    variables of the plan or phase.
     """
     blocks: list[Block] = []
     nx = v.model.nx
@@ -211,7 +234,10 @@ def build_waypoint_blocks(v: Variables) -> list[Block]:
 
 
 def build_end_blocks(v: Variables) -> list[Block]:
-    """Build the constraints of terminal and periodic goals."""
+    """Build the constraints of terminal and periodic goals.
+
+    `v` are the decision variables of the plan or phase.
+    """
     target, free = v.target, v.target.free_start
     blocks = _build_goal_blocks(target, target.single, v.states[-1:], "goal", "end")
     if free is not None and free.reduction.names:
@@ -233,8 +259,8 @@ def _build_goal_blocks(
 
     They are independent combinations of the goal rows. Dependent goal rows are inequalities. Where
     conserved quantities already satisfy them, they are inactive, so that the gradients of active
-    constraints remain independent. `function` maps variables to goal rows; `index` are the places
-    of these variables. Constraints have `kind`, and names that begin with `name`.
+    constraints remain independent. `function` maps variables to goal rows; `index` are their
+    indices in y. Constraints have `kind`, and names that begin with `name`.
     """
     blocks = []
     if target.count:
@@ -301,7 +327,8 @@ def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
 def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summand:
     """Build a cost term at a fraction of the duration.
 
-    The fraction is `share`. `expression` maps the instant there to the cost.
+    The fraction is `share`. `expression` maps the instant there to the cost. Returns a symbol z,
+    the cost as an expression of z, and the indices of z in y.
     """
     k, part = locate_share(v.fractions, share)
     value = ca.Function("value", (now := symbolic(v.model)).symbols, [expression(now)])
@@ -318,7 +345,8 @@ def _build_instant(v: Variables, share: float, expression: InstantTerm) -> _Summ
 def _build_differences(v: Variables, expression: ControlTerm) -> _Summand:
     """Build a cost term of neighboring control values.
 
-    `expression` maps the two values (α, 2) and the time between them [s] to the cost.
+    `expression` maps the two values (α, 2) and the time between them [s] to the cost. Returns a
+    symbol z, the cost as an expression of z, and the indices of z in y.
     """
     width = v.controls.shape[1]
     z = ca.SX.sym("z", 2 * width + 2)
@@ -333,7 +361,7 @@ def _build_integral(v: Variables, expression: ControlTerm) -> _Summand:
     """Build a cost integral of the controls over each interval.
 
     `expression` maps controls (α, n) at n Gauss points and the weight of each point [s] to the
-    integral.
+    integral. Returns a symbol z, the cost as an expression of z, and the indices of z in y.
     """
     z = ca.SX.sym("z", v.interval_controls.shape[1] + 2)
     offsets = np.array([-1, 1]) / np.sqrt(12) if v.profile.linear else np.zeros(1)
@@ -346,7 +374,8 @@ def _build_simpson(v: Variables, expression: InstantTerm) -> _Summand:
     """Build a running cost by Simpson's rule.
 
     `expression` maps an instant to the cost rate. A rule with the ends of intervals only would miss
-    vibrations within them.
+    vibrations within them. Returns a symbol z, the cost as an expression of z, and the indices of z
+    in y.
     """
     now = symbolic(v.model)
     rate = ca.Function("rate", now.symbols, [expression(now)])

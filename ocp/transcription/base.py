@@ -91,14 +91,15 @@ class Transcription(Value):
         """Prepare the discretization residual for deferred correction.
 
         The residual is the difference from an integration in fine steps. The result is a function
-        of the decision variables, and of the `MotionResidual` of a solution nearby or None. It
-        returns a `MotionResidual`.
+        of the scaled decision variables w of the program, and of the residual of a solution nearby
+        or None. It returns a `MotionResidual`.
         """
         return measure_ends(program, model, self.fractions)
 
     def defects(self, variables: Variables, used: Array) -> Defects:
         """Build the defect constraints and their additional variables.
 
-        `used` marks the variables that limits, costs and goals depend on.
+        `variables` are those of the plan or phase. `used` marks the ones on which limits, costs and
+        goals depend.
         """
         raise NotImplementedError

@@ -45,8 +45,9 @@ class ContactSet:
 def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Array) -> ContactSet:
     """Fix contact nodes and add their reactions as variables.
 
-    `stands` are the s contact nodes. `lands` tells whether some of them land at the start of the
-    phase. `reactions` (3s,) is the initial guess of the reactions [N].
+    `v` are the variables of the phase, and `stands` the s contact nodes. `lands` tells whether some
+    of them land at the start of the phase. `reactions` (3s,) is the initial guess of the reactions
+    [N].
 
     Fixed coordinates are the same variables at all mesh points, so that no constraint has to fix
     them.
@@ -76,7 +77,10 @@ def add_contacts(v: Variables, stands: Sequence[int], lands: bool, reactions: Ar
 
 
 def build_empty_set(v: Variables) -> ContactSet:
-    """Build the contact set of a phase without contact."""
+    """Build the contact set of a phase without contact.
+
+    `v` are the variables of the phase.
+    """
     return add_contacts(v, (), False, np.zeros(0))
 
 

@@ -178,8 +178,8 @@ class DiscreteEquations:
     def _when(self, entries: Indices, points: slice) -> list[Indices]:
         """Append the indices of duration and relative times.
 
-        They are needed only if supports move. `entries` are the variable indices of a block at the
-        mesh points `points`.
+        They are needed only if supports move. Returns the index arrays as a list. `entries` are the
+        variable indices of a block at the mesh points `points`.
         """
         v = self.v
         if v.model.scene.supports is None:
@@ -315,11 +315,11 @@ class DiscreteEquations:
         return x
 
     def _inner_rates(self, entries: Any, q: Any, duration: Any) -> Any:
-        """Compute the interior velocities (nq, K − 1).
+        """Compute the velocities (nq, K − 1) at interior mesh points.
 
-        `entries` are all variables, `q` (nq, K + 1) the positions. Velocities follow from the
-        discrete momenta. With contact nodes they are central differences, which are zero at these
-        nodes.
+        `entries` are all variables, `q` (nq, K + 1) the positions, and `duration` is in seconds.
+        Velocities follow from the discrete momenta. With contact nodes they are central
+        differences, which are zero at these nodes.
         """
         v = self.v
         spacing = ca.diag(1 / (v.fractions[1:] + v.fractions[:-1]))

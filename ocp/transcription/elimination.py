@@ -84,7 +84,12 @@ class Elimination:
 class _DefectBlock(NamedTuple):
     """Diagonal block of the block triangular form.
 
-    Blocks of one level do not depend on each other. `rows` and `columns` are those of the matrix.
+    Attributes
+    ----------
+    level : int
+        Number of its level. Blocks of one level do not depend on each other.
+    rows, columns : ndarray of int
+        Its rows and columns in the matrix.
     """
 
     level: int
@@ -235,14 +240,14 @@ class _Substitution:
         ]
 
     def take(self, values: Array, inverses: list[Array]) -> None:
-        """Take new values of the matrix.
+        """Store new values of the matrix.
 
         `values` are all nonzeros; `inverses` are the inverse blocks (count, m, m) of each step.
         """
         self.values, self.inverses = -values[self.entries], inverses
 
     def substitute(self, b: Array) -> Array:
-        """Replace b (n, r) by the solution."""
+        """Solve for the right-hand side b (n, r), and overwrite b."""
         r, flat, given = b.shape[1], b.reshape(-1), (self.columns, self.values)
         vectors = () if r == 1 else (r,)
         add = _sparsetools.csr_matvec if r == 1 else _sparsetools.csr_matvecs

@@ -113,7 +113,8 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
     """Prepare the discretization residual of one-step methods.
 
     It is the change of the defects if fine steps replace the states at the interval ends.
-    `fractions` (K,) are the interval lengths relative to the duration.
+    `fractions` (K,) are the interval lengths relative to the duration. Returns the function that
+    `Transcription.measure_residual` describes.
     """
     fine, unknowns = FineSteps(program, model, fractions), program.parts.unknowns
     size = unknowns.count + len(unknowns.constants)
@@ -148,7 +149,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     Fine steps connect successive mesh points by a suitable initial velocity in each interval. The
     residual is the jump between the final velocity of an interval and the initial velocity of the
     next one, as a change of momentum. `fractions` (K,) are the interval lengths relative to the
-    duration.
+    duration. Returns the function that `Transcription.measure_residual` describes.
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
     project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
@@ -201,9 +202,9 @@ def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:
-    """Find the constraint rows of a named Function.
+    """Find the constraint rows of blocks with a named Function.
 
-    Returns one slice of rows for each block with this Function.
+    `name` is that of the Function. Returns one slice of rows for each block.
     """
     parts = program.parts
     return [

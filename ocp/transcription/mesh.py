@@ -36,8 +36,8 @@ Intervals = int | Sequence[float]
 def check_intervals(field: str, value: Any) -> int | tuple[float, ...]:
     """Check a number of intervals, or normalize their lengths.
 
-    Lengths, relative to each other, are divided by their sum. `field` names the argument in
-    messages. Raises TypeError or ValueError.
+    `value` is a number of intervals, or their lengths relative to each other. Lengths are divided
+    by their sum. `field` names the argument in messages. Raises TypeError or ValueError.
     """
     if isinstance(value, (bool, np.bool_, int, np.integer, float, str)):
         return whole_number(field, value, 1, MAX_COUNT)
@@ -63,7 +63,7 @@ class Profile(Protocol):
 
     @property
     def linear(self) -> bool:
-        """Whether controls are values at mesh points, or in intervals."""
+        """Whether controls are piecewise linear, not piecewise constant."""
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -76,7 +76,10 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class NamedProfile(Value):
-    """Base class of control profiles with a name in files."""
+    """Base class of control profiles with a name in files.
+
+    `groups` are groups of strings that share one control value.
+    """
 
     groups: Annotated[tuple[tuple[IndexOrName, ...], ...], ListOf(Members("input"))] = ()
 
@@ -157,7 +160,8 @@ class PiecewiseLinear(NamedProfile, kind="PiecewiseLinear"):
 def group_matrix(profile: Profile, strings: int) -> Array:
     """Build the 0/1 matrix (strings, groups) of control groups.
 
-    A string in no group forms its own. Raises ValueError for a string that does not exist.
+    `strings` is the number of strings. One in no group forms its own. Raises ValueError for a
+    string that does not exist.
     """
     for k, group in enumerate(profile.groups):
         check_indices(f"{type(profile).__name__}.groups[{k}]", group, strings, "string")
@@ -168,7 +172,7 @@ def group_matrix(profile: Profile, strings: int) -> Array:
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:
-    """Find the move block to which each interval (K,) belongs.
+    """Find the move block to which each interval belongs.
 
     Controls are constant within a block. `fractions` are the interval lengths relative to the
     duration. The result is the block's number (K,).
@@ -219,8 +223,8 @@ def profile_at(values: Array, nodes: Array, time: Array) -> Array:
 def locate_share(fractions: Array, share: float) -> tuple[int, float]:
     """Find the interval that contains a fraction of the duration.
 
-    The intervals have the lengths `fractions` (K,) relative to the duration. Returns the index of
-    the interval, and the position in it as a fraction of its length.
+    The intervals have the lengths `fractions` (K,) relative to the duration. `share` is the
+    fraction. Returns the index of the interval, and the position in it as a fraction of its length.
     """
     ends = np.cumsum(fractions)
     k = min(int(np.searchsorted(ends, share - 1e-9)), len(ends) - 1)
@@ -267,7 +271,7 @@ class Guess(ReadOnlyArrays):
     noise: Array | None = None
 
     def perturb(self, lower: Array, upper: Array) -> Guess:
-        """Add the noise to the controls, within the given limits."""
+        """Add the noise to the controls, within limits (α,)."""
         if self.noise is None:
             return self
         noisy = np.clip(self.force_density + self.noise, lower, upper)
@@ -277,9 +281,9 @@ class Guess(ReadOnlyArrays):
 def on_mesh(model: Model, guess: Guess, fractions: Array, profile: Profile) -> Guess:
     """Convert a guess to another mesh and control profile.
 
-    The given guess has equal intervals. The new mesh has the interval lengths `fractions` (K,)
-    relative to the duration. Interpolated states are projected onto the constraints of bars and
-    joints.
+    The given guess has equal intervals. `profile` is the new control profile. The new mesh has the
+    interval lengths `fractions` (K,) relative to the duration. Interpolated states are projected
+    onto the constraints of bars and joints.
     """
     intervals, nodes = len(guess.states) - 1, np.append(0.0, np.cumsum(fractions))
     if intervals == len(fractions) and np.ptp(fractions) < 1e-12:

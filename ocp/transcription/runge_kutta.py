@@ -203,7 +203,8 @@ class _Steps:
     def build_ends(self, closing: bool) -> Block:
         """Build the equations for the states at step ends.
 
-        With `closing`, they are those at the ends of intervals, otherwise those within.
+        With `closing`, they are those at the ends of intervals, otherwise those of steps that end
+        within.
         """
         model, v, nq, names = self.model, self.v, self.model.nq, name_states(self.model)
         steps = np.flatnonzero((self.step == self.substeps - 1) == closing)
@@ -239,8 +240,9 @@ class _Steps:
     ) -> Any:
         """Compute the state at a fraction `place` of a step.
 
-        The accelerations and internal rates of the stages are `rates`. Their weights are pairs, for
-        positions and for velocities. The step has the length h [s] and the initial state x.
+        The accelerations and internal rates of the stages are `rates`. `weights` are two for each
+        stage, for positions and for velocities. The step has the length h [s] and the initial state
+        x.
         """
         q, speed, own, clock = self.model.split(x)
         q, clock = q + place * h * speed, clock + place * h

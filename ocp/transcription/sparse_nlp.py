@@ -175,10 +175,7 @@ class Separable:
         }
 
     def gradient(self) -> ca.Function:
-        """Build the Function nlp_grad_f of the objective.
-
-        It is (w, p) → f and its gradient.
-        """
+        """Build nlp_grad_f: (w, p) → f and its gradient in w."""
         matrix = _SparseMatrix(self.unknowns)
         for block, z in zip(self.costs, self._cost_inputs, strict=True):
             matrix.add_jacobian(block, z, self._weight, transposed=True)
@@ -188,10 +185,7 @@ class Separable:
         )
 
     def jacobian(self) -> ca.Function:
-        """Build the Function nlp_jac_g of the constraints.
-
-        It is (w, p) → g and its sparse Jacobian.
-        """
+        """Build nlp_jac_g: (w, p) → g and its sparse Jacobian in w."""
         J = self._row_derivatives.assemble(self.g.shape[0], self.unknowns.count)
         return ca.Function(
             "nlp_jac_g", [self.w, self._p], [self.g, J], ["x", "p"], ["g", "jac_g_x"]
@@ -210,7 +204,10 @@ class Separable:
         return matrix
 
     def hessian(self) -> ca.Function:
-        """Build the Function nlp_hess_l of the Lagrangian's Hessian."""
+        """Build nlp_hess_l, the Hessian of the Lagrangian in w.
+
+        It is (w, p, λ_f, λ_g) → upper triangle of the Hessian of λ_f f + λ_gᵀ g; p is empty.
+        """
         lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.g.shape[0])
         matrix = _SparseMatrix(self.unknowns)
         for block, z, rows in zip(self.rows, self._row_inputs, self.slices, strict=True):
@@ -323,7 +320,7 @@ class Program:
     def shift_rows(
         self, shift: Array, w: Array, multipliers: tuple[Array, Array] | None
     ) -> Program:
-        """Add `shift` to all constraint bounds, and warm-start at w."""
+        """Add `shift` to all constraint bounds; warm-start at w with duals `multipliers`."""
         lower, upper = self.lower + shift, self.upper + shift
         return replace(self, lower=lower, upper=upper, first=w, multipliers=multipliers)
 
@@ -374,7 +371,10 @@ class _SparseMatrix:
         first_row: int = 0,
         transposed: bool = False,
     ) -> None:
-        """Add a block's Jacobian at z times `factor`, from `first_row` on."""
+        """Add the Jacobian of a block, or its transpose, times `factor`.
+
+        It is evaluated at z (nz, count). Its rows in the matrix begin at `first_row`.
+        """
         values, local_row, local_column, varying = self._derivative(block, z)
         if not len(local_row):
             return
@@ -392,7 +392,7 @@ class _SparseMatrix:
             self._varying.append(varying[kept % len(varying)])
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
-        """Add the upper triangle of a block's Hessian at z."""
+        """Add the upper triangle of the Hessian of multipliersᵀ rows at z (nz, count)."""
         if block.combination is not None:
             multipliers = ca.mtimes(ca.DM(block.combination.T), multipliers)
         second, local_row, local_column = self._second(block)

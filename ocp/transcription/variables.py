@@ -64,9 +64,9 @@ class Entries:
     ) -> Indices:
         """Append decision variables to y and return their indices.
 
-        The indices have the shape of the initial values `first`, to which the other arguments are
-        broadcast. `scale` is a typical size, `lower` and `upper` are bounds. `interval` is the mesh
-        interval, counted from the start of the phase.
+        There is one name for each. The indices have the shape of the initial values `first`, to
+        which the other arguments are broadcast. `scale` is a typical size, `lower` and `upper` are
+        bounds. `interval` is the mesh interval, counted from the start of the phase.
         """
         named = [name + self.suffix for name in names]
         counted = np.add(self._first_interval, interval)
@@ -264,8 +264,8 @@ class Variables:
     ) -> Indices:
         """Add decision variables at the mesh points from `node` on.
 
-        `first` are their initial values, one row for each mesh point. `scale` is their typical
-        size. Returns their indices in y.
+        `names` are those at one mesh point. `first` are the initial values, one row for each mesh
+        point. `scale` is their typical size. Returns their indices in y.
         """
         every = [f"{name}, interval {k}" for k in range(len(first)) for name in names]
         return self.entries.unknowns(
@@ -273,7 +273,10 @@ class Variables:
         )
 
     def repeat(self, index: Indices, count: int | None = None) -> Indices:
-        """Repeat indices (n,) for every interval, or `count` times."""
+        """Repeat indices (n,) for every interval, or `count` times.
+
+        Returns an array with one row for each.
+        """
         return np.tile(index, (self.count if count is None else count, 1))
 
 
@@ -316,7 +319,7 @@ def name_states(model: Model) -> tuple[str, ...]:
 def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
     """Name the defect constraints of all intervals.
 
-    `rows` name those of one interval.
+    `count` is the number of intervals; `rows` name the constraints of one.
     """
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 

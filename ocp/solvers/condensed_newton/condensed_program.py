@@ -295,8 +295,8 @@ class Expansion:
     def curvature(self, step: Array, moved: Array) -> Array:
         """Multiply the condensed Hessian of the Lagrangian by a step of u.
 
-        `moved` is the change of s by the linearized dynamics. Includes the second derivatives of
-        the barriers. Returns a vector (n,).
+        `moved` is the change of s by the linearized dynamics. The result (n,) includes the
+        barriers.
         """
         by_s, by_u = np.split(self._second.times(np.append(moved, step)), [len(moved)])
         push = self._stiffness * self.path_change(moved, step)
