@@ -119,14 +119,14 @@ class _Limits:
         self.names: list[str] = []
 
     def add(self, rows: ScaledRows, kept: list[int]) -> None:
-        """Add the constraint rows with the given indices."""
+        """Add the constraint rows with the indices `kept`."""
         self.values.append(rows.function(*self.symbols)[kept])
         self.lower += _finite(rows.lower[kept])
         self.upper += _finite(rows.upper[kept])
         self.names += [rows.names[k] for k in kept]
 
     def function(self, name: str) -> ca.Function:
-        """Build the Function (x, u, t) → values."""
+        """Build the Function (x, u, t) → values, called `name`."""
         return ca.Function(name, self.symbols, [ca.densify(ca.vertcat(*self.values))])
 
     def numbers(self) -> dict[str, Any]:

@@ -194,7 +194,8 @@ def run(
 def _trace_functions(plant: Model, x: Array, duration: float) -> Model:
     """Check the functions of time of the simulated model.
 
-    Those that CasADi cannot trace are replaced by interpolants.
+    `plant` is this model with the initial state `x` (nx,), and `duration` is in seconds. In the
+    result, interpolants replace functions that CasADi cannot trace.
     """
     if not plant.has_clock:
         return plant
@@ -245,7 +246,8 @@ def _record(
     """Build the trajectory of the simulated sampling periods.
 
     `plant` is the simulated model, `scene` that of the user. States and controls have an entry for
-    each period. Each period has `n` time steps; `ends` are the limits of the periods [s].
+    each period. Each period has `n` time steps; `ends` are the limits of the periods [s]. `seconds`
+    is the wall time of the run [s], and `interrupted` tells whether Ctrl-C ended it.
     """
     rows = np.concatenate(states)
     done = len(controls) == len(ends) - 1

@@ -110,6 +110,8 @@ def find_rest(
 
     Parameters
     ----------
+    end : ndarray, shape (nx,)
+        Final state of the plan.
     lower, upper : ndarray, shape (nu,)
         Limits of the forces, see `force_limits`.
     slow : float
@@ -176,7 +178,8 @@ def force_limits(model: Model, problem: Problem | None, state: Array) -> tuple[A
 def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Array]:
     """Compute internal states and control for given string forces.
 
-    Internal states are, for example, the rest lengths of winches.
+    `forces` (nu,) are those in the state (nx,). Returns the state with its internal states, such as
+    rest lengths of winches, and the control (nu,).
     """
     control, structure = model.scene.control, model.scene.structure
     if control is None or control.commands_forces:
@@ -192,7 +195,7 @@ def _follow_forces(model: Model, state: Array, forces: Array) -> tuple[Array, Ar
 
 
 def _string_lengths(model: Model, state: Array) -> Array:
-    """Compute the lengths (α,) of parent strings [m]."""
+    """Compute the lengths (α,) of parent strings in a state [m]."""
     return distances(model.nodes(state), model.scene.structure.strings)
 
 

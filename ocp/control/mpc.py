@@ -298,8 +298,8 @@ class Mpc:
 
         The Function (time, state, γ, before, earlier) → γ, G, g, a, b gives the program: minimize ½
         ‖G ΔU‖² + ½ ‖ΔU/control_scale‖² + gᵀ ΔU subject to a ΔU ≤ b, over changes ΔU (nu ·
-        intervals) of the controls γ. If the trajectory under γ diverges, γ is replaced by the
-        reference.
+        intervals) of the controls γ. `before` and `earlier` are the controls and the state of the
+        previous call. If the trajectory under γ diverges, γ is replaced by the reference.
         """
         model, count = self.model, self.intervals
         time, state, earlier = (
@@ -361,7 +361,19 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Time, controls and state of the previous call, at first NaN."""
+    """Decision of the previous call; NaN before the first call.
+
+    Attributes
+    ----------
+    time : float
+        Its time [s].
+    force_density : ndarray, shape (nu, intervals)
+        Controls on the prediction horizon.
+    state : ndarray, shape (nx,)
+        State at this time.
+    failed : bool
+        Whether a quadratic program was not solved.
+    """
 
     time: float
     force_density: Array
@@ -430,9 +442,10 @@ def _build_reference(
 
 
 def _find_goal(problem: Problem, scales: Scales) -> tuple[Array, Array, Array]:
-    """Find an equilibrium at the goals: state, control, force densities.
+    """Find an equilibrium at the goals.
 
-    Raises ValueError for goals at other instants than the end.
+    Returns its state (nx,), control (nu,) and force densities [N/m]. Raises ValueError for goals at
+    other instants than the end.
     """
     asked = [
         type(part).__name__

@@ -107,7 +107,11 @@ def _combine(count: int, slopes: Any, effects: Any) -> Any:
 
 
 def _one_sided(bound: ScaledRows) -> ca.Function:
-    """Build the distances from all finite limits, and their negative Jacobians."""
+    """Build the distances from all finite limits, and their negative Jacobians.
+
+    The Function has the arguments of the constraints `bound`. Jacobians are those with respect to
+    each argument.
+    """
     inputs = [ca.MX.sym("z", bound.function.size1_in(k)) for k in range(bound.function.n_in())]
     value = bound.function(*inputs)
     upper, lower = (

@@ -318,7 +318,17 @@ class Mppi:
 
 
 class _Decision(NamedTuple):
-    """Time, state (nx,) and control (nu,) of a decision."""
+    """Previous decision of the controller.
+
+    Attributes
+    ----------
+    time : float
+        Its time [s].
+    state : ndarray, shape (nx,)
+        State at this time.
+    force_density : ndarray, shape (nu,)
+        Control of its sampling period.
+    """
 
     time: float
     state: Array

@@ -264,7 +264,7 @@ def evaluate_guess(
 ) -> Guess:
     """Evaluate an initial guess; see `InitialGuess.guess`.
 
-    None stands for `InverseDynamics`. Raises TypeError, ValueError.
+    `value` is the guess; None stands for `InverseDynamics`. Raises TypeError, ValueError.
     """
     value = InverseDynamics() if value is None else value
     if isinstance(value, type) or not isinstance(value, InitialGuess):
@@ -289,8 +289,9 @@ def resample_guess(
 
     States (n, nx) and controls `gamma` are given at fractions of the duration (`…_shares`).
     Controls are linear between these, or constant if there is one less. The states are projected
-    onto the constraints; unless the start is free, the first one is the initial state. Controls and
-    duration are clipped to their limits. Raises ValueError if a projection fails.
+    onto the constraints; unless the start is free, the first one is the initial state, that of
+    `target`. `intervals` is the number of equal intervals. Controls and duration are clipped to
+    their limits. Raises ValueError if a projection fails.
     """
     shares = np.linspace(0.0, 1.0, intervals + 1)
     moved = project_states(
@@ -316,7 +317,7 @@ def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Gues
 
     A solver uses it if it stops at a saddle point. It differs from string to string, which breaks
     symmetries. It is at most ``share`` times the largest force density or tension. Guesses of rest
-    lengths get none.
+    lengths get none. `seed` is that of the random numbers.
     """
     if has_elastic_strings(
         problem.model
@@ -332,7 +333,7 @@ def _limit_noise(model: Model, guess: Guess) -> float:
     """Compute a factor (at most 1) that reduces noise.
 
     Perturbations grow at a rate of up to √noise times that of the fastest vibration. The factor
-    keeps this growth small in long plans.
+    keeps this growth small in long plans. The vibration is that at the middle of the guess.
     """
     middle = len(guess.force_density) // 2
     turned = fastest_rate(model, guess.states[middle], guess.force_density[middle]) * guess.duration

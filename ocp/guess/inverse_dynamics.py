@@ -90,9 +90,9 @@ def _wind(
 ) -> tuple[Array, Array]:
     """Compute the inputs (K, nu) of actuators for given rest lengths.
 
-    Tensions [N] and rest lengths [m] are those in the middle of intervals. The initial internal
-    states are those of the initial state. Also returns the states (K + 1, nx) with the resulting
-    internal states. `interval` is the length of an interval [s].
+    Tensions [N] and rest lengths [m] (K, nu) are those in the middle of intervals. The initial
+    internal states are those of the initial state. Also returns the states (K + 1, nx) with the
+    resulting internal states. `interval` is the length of an interval [s].
     """
     states, control = states.copy(), problem.model.scene.control
     own = problem.model.split(states).internal
@@ -106,10 +106,10 @@ def _wind(
 def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tuple[Array, Array]:
     """Convert force densities into tensions and rest lengths.
 
-    At states (K, nx), a cable has the mean tension T = Σ s t/Σ s [N] of its strings, with lengths s
-    and tensions t. The rest lengths are Σ s − (T − c Σ ṡ)/k [m] for stiffness k and damping c,
-    clipped to their limits. Both are (K, nu). Strings have at least 2 % of the largest force
-    density, as slack ones do not respond to their controls.
+    Force densities are (K, α) [N/m]. At states (K, nx), a cable has the mean tension T = Σ s t/Σ s
+    [N] of its strings, with lengths s and tensions t. The rest lengths are Σ s − (T − c Σ ṡ)/k [m]
+    for stiffness k and damping c, clipped to their limits. Both are (K, nu). Strings have at least
+    2 % of the largest force density, as slack ones do not respond to their controls.
     """
     structure, now = problem.model.scene.structure, symbolic(problem.model)
     measure = ca.Function(
@@ -169,6 +169,9 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
 
 def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
     """Solve n bounded least-squares problems min ‖A x − b‖.
+
+    A has the shape (n, m, k) and b (n, m). All x have the bounds `lower` and `upper` (k,). The
+    result is (n, k).
 
     A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
     2002, 13, 865). It usually needs five iterations, but may cycle: SciPy then solves the remaining

@@ -28,8 +28,8 @@ LARGE_TURN = 0.5  # rad; for smaller rotations, straight lines are good paths
 def make_guess(problem: Problem, target: Target, intervals: int) -> Guess:
     """Build the guess along a smooth path to the final state.
 
-    It has no noise. Of several paths, it follows the one whose accelerations the controls reproduce
-    best.
+    The path is that to the final state of `target`. The guess has no noise. Of several paths, it
+    follows the one whose accelerations the controls reproduce best.
     """
     paths = find_paths(target, problem.model, intervals, problem.typical_duration)
     last = target.start if target.state is None else target.state
@@ -42,7 +42,8 @@ def follow(problem: Problem, target: Target, positions: Array) -> Guess:
     """Build the guess along given coordinates.
 
     `positions` (K + 1, nq) are the free coordinates at equal time intervals. They are projected
-    onto the constraints of bars and joints. The controls follow by inverse dynamics.
+    onto the constraints of bars and joints. The controls follow by inverse dynamics. `target` has
+    the initial and the final state.
     """
     return _follow(problem, target, positions)[0]
 
@@ -50,7 +51,7 @@ def follow(problem: Problem, target: Target, positions: Array) -> Guess:
 def stay_at_start(problem: Problem, target: Target, intervals: int) -> Guess:
     """Build the guess that stays at the initial state.
 
-    The controls balance it as well as their limits permit.
+    The initial state is that of `target`. The controls balance it as well as their limits permit.
     """
     duration = problem.typical_duration
     states = np.repeat(target.start[None], intervals + 1, axis=0)
@@ -69,8 +70,9 @@ def _follow(
     """Build the guess along a path, and its acceleration error.
 
     `positions` (K + 1, nq) are the free coordinates along the path. `balanced` are controls in
-    equilibrium at both ends. The error is the mean squared error of the accelerations. It is inf if
-    a bar turns by 90° or more within an interval; the guess then stays at the start.
+    equilibrium at both ends. `target` has the initial and the final state. The error is the mean
+    squared error of the accelerations. It is inf if a bar turns by 90° or more within an interval;
+    the guess then stays at the start.
     """
     duration = problem.typical_duration
     states = _add_velocities(problem, target, positions, duration)
@@ -101,8 +103,9 @@ class _Quintic(NamedTuple):
     def between(self, first: Array, last: Array, leaving: Array, arriving: Array) -> Array:
         """Interpolate between two values with given derivatives at both ends.
 
-        `leaving` and `arriving` are the derivatives with respect to the fraction of time. Second
-        derivatives are zero at both ends. The result has one row for each time.
+        The values are `first` and `last`. `leaving` and `arriving` are the derivatives with respect
+        to the fraction of time. Second derivatives are zero at both ends. The result has one row
+        for each time.
         """
         shape = (-1, *(1 for _ in np.shape(first)))
         change, leave, arrive = (part.reshape(shape) for part in self)
@@ -121,8 +124,8 @@ def _quintic(intervals: int) -> _Quintic:
 def find_paths(target: Target, model: Model, intervals: int, duration: float) -> list[Array]:
     """Find paths from the initial to the final state through waypoints.
 
-    A path has the free coordinates (K + 1, nq) at equal time intervals. There are several paths if
-    the structure or its bars rotate far.
+    `target` has these states, and `duration` is in seconds. A path has the free coordinates (K + 1,
+    nq) at equal time intervals. There are several paths if the structure or its bars rotate far.
     """
     start, end = target.start, target.start if target.state is None else target.state
     (q0, v0, *_), (q1, v1, *_) = model.split(start), model.split(end)
@@ -266,9 +269,9 @@ def _add_velocities(problem: Problem, target: Target, q: Array, duration: float)
     """Build states that satisfy the constraints from free coordinates.
 
     Coordinates `q` (K + 1, nq) are at equal time intervals in `duration` s; velocities are their
-    central differences. The first of the states (K + 1, nx) is the initial one and the last, if it
-    is known, the final one. Returns None if they are not finite or if a bar turns by 90° or more
-    within an interval.
+    central differences. The first of the states (K + 1, nx) is the initial state of `target`, and
+    the last its final state, if known. Returns None if they are not finite or if a bar turns by 90°
+    or more within an interval.
     """
     model, intervals = problem.model, len(q) - 1
     start = target.start

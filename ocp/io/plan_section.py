@@ -138,7 +138,8 @@ def file_schema() -> dict[str, Any]:
 def read_plan(item: Item, simulation: Simulation) -> dict[str, Any]:
     """Read the table [plan] as arguments of `ocp.solve`.
 
-    The simulation provides the scene and the default initial state. Raises SceneFileError.
+    `item` is the table. The simulation provides the scene and the default initial state. Raises
+    SceneFileError.
     """
     item = item._replace(names=simulation.scene.structure.names)
     part, table = PLAN.read(item), item.table()

@@ -144,7 +144,10 @@ class ClosedLoopRun:
 class Studies(NamedTuple):
     """Studies of a plan that a scene file requests.
 
-    They are None if the file has no table for them.
+    Attributes
+    ----------
+    refinement, robustness, closed_loop
+        Options of each study; None if the file has no table for it.
     """
 
     refinement: Refinement | None
@@ -176,8 +179,8 @@ def read_studies(document: Document) -> Studies:
 def build_studies(given: Any) -> Studies:
     """Build studies from mappings of their fields.
 
-    `ocp.load_studies` returns such mappings by name. They are read like the tables of a file.
-    Raises TypeError, SceneFileError.
+    `given` are such mappings by name, as `ocp.load_studies` returns them. They are read like the
+    tables of a file. Raises TypeError, SceneFileError.
     """
     names = ", ".join(SECTIONS)
     if not isinstance(given, Mapping) or not all(

@@ -107,7 +107,8 @@ class ControlCost(Cost):
     def expression(self, force_density: Any, interval: Any) -> Any:
         """Build the cost of the force densities on all intervals.
 
-        Force densities are (α×intervals) [N/m]; ``interval`` has the length of each interval [s].
+        It is a CasADi scalar. Force densities are (α×intervals) [N/m]; ``interval`` has the length
+        of each interval [s].
         """
         raise NotImplementedError
 
@@ -124,7 +125,7 @@ class RunningCost(Cost):
     """
 
     def rate(self, now: Instant) -> Any:
-        """Build the integrand at an instant, a CasADi scalar."""
+        """Build the integrand at the instant ``now``, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -138,7 +139,7 @@ class TerminalCost(Cost):
     additive: ClassVar[bool] = False
 
     def terminal(self, end: Instant) -> Any:
-        """Build the cost of the final instant, a CasADi scalar."""
+        """Build the cost of the final instant ``end``, a CasADi scalar."""
         raise NotImplementedError
 
     def terms(self) -> CostTerms:
@@ -150,7 +151,8 @@ class TerminalCost(Cost):
 class CostAt(Cost):
     """Cost of one instant before the end of the plan.
 
-    It applies a `TerminalCost` at ``share``, a fraction of the duration between 0 and 1.
+    It evaluates the terminal cost ``cost`` at ``share``, a fraction of the duration between 0 and
+    1.
     """
 
     additive: ClassVar[bool] = False

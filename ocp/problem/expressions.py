@@ -349,13 +349,16 @@ def _named(item: Any) -> None:
 
 
 def _label(item: Any) -> str:
-    """Return the name of a bound or cost in messages."""
+    """Return the name of a bound or cost (``item``) in messages."""
     name = getattr(item, "name", None)
     return type(item).__name__ + (f" {name!r}" if name else "")
 
 
 def _column(item: Any, now: Instant) -> Any:
-    """Build the entries of a user-defined expression as a column."""
+    """Build the entries of a user-defined expression as a column.
+
+    ``item`` is the bound or cost with the expression, which is evaluated at the instant ``now``.
+    """
     nodes, strings = now.model.scene.structure.nodes, now.model.scene.structure.strings
     hint = f"an instant has nodes and velocities 3×{len(nodes)}, lengths, rates, control ({len(strings)},), tension, bar_force, state, time"
     value = call_user_function(_label(item), item.expression, now, hint)

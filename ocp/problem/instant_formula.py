@@ -98,7 +98,7 @@ class InstantFormula:
 def find_quantity(name: str, names: Names) -> tuple[Callable[[Instant, int], Any], int]:
     """Find quantity and index of a name such as "z[tip]".
 
-    Raises FormulaError.
+    The quantity is a function of an instant and the index. Raises FormulaError.
     """
     indexed = _INDEXED.fullmatch(name)
     if indexed is None or indexed[1] not in QUANTITIES:
@@ -121,7 +121,7 @@ class InstantText(FieldType):
     """Field type of a formula of an `ocp.Instant`."""
 
     def read(self, item: Item) -> InstantFormula:
-        """Read a formula and check the names in it."""
+        """Read a formula from a file, and check the names in it."""
         formula = item.formula()
         numbers = item.document.numbers
         for name in sorted(formula.names - numbers.keys() - {TIME}):

@@ -75,10 +75,14 @@ class _LinearLimits(NamedTuple):
 
     Attributes
     ----------
-    limited : the constraint.
-    linear : whether a row of it is linear in the controls (m,).
-    needed : whether a row depends on an entry of the state (m, nx).
-    function : from the symbols to the value (m,) and its gradient (m, nu).
+    limited : PathConstraint
+        The m constrained quantities with their limits.
+    linear : ndarray of bool, shape (m,)
+        Whether each quantity is linear in the controls.
+    needed : ndarray of bool, shape (m, nx)
+        Whether each quantity depends on each entry of the state.
+    function : casadi.Function
+        From the symbols to the value (m,) and its Jacobian (m, nu) in the controls.
     """
 
     limited: PathConstraint
@@ -88,7 +92,7 @@ class _LinearLimits(NamedTuple):
 
     @staticmethod
     def of(limited: PathConstraint) -> _LinearLimits:
-        """Differentiate a constraint by the controls."""
+        """Differentiate a constraint with respect to the controls."""
         (state, control, *_), value = limited.symbols, ca.densify(limited.value)
         needed = np.zeros((value.shape[0], state.shape[0]), dtype=bool)
         pattern = np.array(limited.function.jac_sparsity(0, 0).get_triplet(), dtype=np.intp)

@@ -55,9 +55,9 @@ def path_constraints(
 ) -> list[PathConstraint]:
     """Build the path constraints of all bounds of a class.
 
-    Names are unique: if several bounds limit a quantity, its name includes the index of the bound,
-    as in "obstacle clear of bar 0 (bounds[2])". ``implied`` selects the weaker constraints that the
-    bounds imply (`PathBound.imply`).
+    ``kind`` is the class. Names are unique: if several bounds limit a quantity, its name includes
+    the index of the bound, as in "obstacle clear of bar 0 (bounds[2])". ``implied`` selects the
+    weaker constraints that the bounds imply (`PathBound.imply`).
     """
     found = dict(_build_constraints(problem, kind, implied))
     times = Counter(name for one in found.values() for name in set(one.names))
@@ -93,7 +93,7 @@ def _limit_force_densities(problem: Problem, now: Instant) -> list[PathConstrain
     """Build the limits of force densities that are not controls.
 
     Strings carry no compression, so that lower limits are at least 0. A cable needs one such
-    constraint. If tensions are the control, none is needed.
+    constraint. If tensions are the control, none is needed. They are built at the instant ``now``.
     """
     lower, upper = problem.force_density_limits
     own = (lower > 0) | np.isfinite(upper)
@@ -111,7 +111,7 @@ def _limit_force_densities(problem: Problem, now: Instant) -> list[PathConstrain
 def _limit_internal_states(problem: Problem, now: Instant) -> list[PathConstraint]:
     """Build the limits of winches' rest lengths and motor speeds.
 
-    Both are states of the model.
+    Both are states of the model. The limits are built at the instant ``now``.
     """
     if not problem.model.na:
         return []

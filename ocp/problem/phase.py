@@ -162,7 +162,8 @@ def check_phases(
 ) -> None:
     """Check that phases are consistent with the problem.
 
-    Raises TypeError, ValueError.
+    The other arguments are fields of the problem; ``start`` (nx,) is its initial state. Raises
+    TypeError, ValueError.
     """
     structure, scene = model.scene.structure, model.scene
     reduced = model.coordinates == "reduced" and not model.mechanism.joints

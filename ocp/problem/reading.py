@@ -16,8 +16,9 @@ def read_items(
 ) -> tuple[Any, ...]:
     """Read a tuple of objects of one class.
 
-    Names of nodes, bars and strings are replaced by indices if `names` are given. Raises TypeError,
-    ValueError. ``kinds`` is the class and ``example`` the cure in error messages.
+    ``values`` is the argument ``field``, ``kinds`` the class, and ``example`` the cure in error
+    messages. Names of nodes, bars and strings are replaced by indices if `names` are given. Raises
+    TypeError, ValueError.
     """
     found = as_tuple(field, values, example)
     for k, value in enumerate(found):
@@ -30,7 +31,7 @@ def read_items(
 def read_duration(field: str, value: Any) -> Duration:
     """Read a fixed duration [s], or limits (shortest, longest).
 
-    Raises TypeError, ValueError.
+    ``value`` is the argument ``field``. Raises TypeError, ValueError.
     """
     if nesting(value) == 0:
         return positive_number(field, value)

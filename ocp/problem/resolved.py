@@ -79,7 +79,7 @@ def resolve(
 ) -> Resolved:
     """Validate and complete the arguments of a problem.
 
-    Raises TypeError, ValueError.
+    They are those of `Problem`. Raises TypeError, ValueError.
     """
     check_model(model, "Problem.model")
     model = model.with_parameters(parameters)
@@ -144,8 +144,8 @@ def string_limits(
 ) -> tuple[Array, Array]:
     """Combine the string limits of all bounds of a class.
 
-    They are (α,), or (nu,) with one entry for each cable and each string in no cable; infinite if
-    there are none.
+    ``kind`` is the class. Limits are (α,), or (nu,) with one entry for each cable and each string
+    in no cable; infinite if there are none.
     """
     given = [
         bound.limits(structure)
@@ -189,7 +189,10 @@ def _add_durations(given: Any, phases: tuple[Phase, ...]) -> Any:
 def _divide(
     structure: Structure, goals: tuple[Goal, ...], phases: tuple[Phase, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Phase, ...]]:
-    """Convert waypoints with free times into phases that end there."""
+    """Convert waypoints with free times into phases that end there.
+
+    ``duration`` is that of the plan. Returns the other goals, and the phases.
+    """
     ways = [goal for goal in goals if isinstance(goal, Waypoint)]
     if phases or not any(isinstance(way.time, tuple) for way in ways):
         return goals, phases
@@ -202,7 +205,10 @@ def _divide(
 def _split_soft(
     goals: tuple[Goal, ...], costs: tuple[Cost, ...], duration: Duration
 ) -> tuple[tuple[Goal, ...], tuple[Cost, ...]]:
-    """Move soft goals from the goals to the costs."""
+    """Move soft goals from the goals to the costs.
+
+    ``duration`` is that of the plan. Returns the other goals, and the penalties.
+    """
     met: list[Goal] = []
     penalties: list[Any] = []
     for goal in goals:
@@ -279,7 +285,8 @@ def _check_limits(structure: Structure, bounds: tuple[Bound, ...], strength: Arr
 def _check_phases(found: Resolved, divided: bool) -> None:
     """Check that phases are consistent with the problem.
 
-    ``divided`` says whether they come from waypoints. Raises TypeError, ValueError.
+    ``found`` has the fields of the problem. ``divided`` tells whether the phases come from
+    waypoints. Raises TypeError, ValueError.
     """
     try:
         require_force_densities(found.model, "Problem.phases")

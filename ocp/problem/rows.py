@@ -92,7 +92,8 @@ def goal_rows(goals: Iterable[Any], model: Any, x: Any) -> Rows:
 def distance_rows(nodes: Any, pairs: Any, wanted: Array, names: tuple[str, ...]) -> Rows:
     """Build residuals of distances between pairs of nodes.
 
-    Nodes are 3×n [m], pairs (m, 2), and the desired distances (m,) [m].
+    Nodes are 3×n [m], pairs (m, 2), and the desired distances ``wanted`` (m,) [m]. ``names`` are
+    those of the residuals.
     """
     vectors = nodes[:, pairs[:, 1].tolist()] - nodes[:, pairs[:, 0].tolist()]
     squared, target = ca.sum1(vectors * vectors).T, ca.DM(wanted)

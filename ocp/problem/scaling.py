@@ -137,10 +137,10 @@ def typical_cost(
 ) -> float:
     """Compute a typical value of the objective, which scales it.
 
-    States are (K + 1, nx), controls (K, nu). In costs of the control, the force density is one sine
-    period about ``strength`` [N/m]. If it alternated between intervals instead, costs of its rate
-    would grow with the square of the number of intervals. The scaled objective would then be small
-    compared with the solver's tolerance.
+    States are (K + 1, nx), controls ``force_density`` (K, nu), and the duration is in seconds. In
+    costs of the control, the force density is one sine period about ``strength`` [N/m]. If it
+    alternated between intervals instead, costs of its rate would grow with the square of the number
+    of intervals. The scaled objective would then be small compared with the solver's tolerance.
     """
     count = len(force_density)
     string, interval = np.indices((len(problem.model.scene.structure.strings), count))

@@ -68,7 +68,7 @@ class FreeStart(Value, kind="FreeStart"):
 def read_start(model: Model, start: ArrayLike | FreeStart | None) -> Array | FreeStart:
     """Read the initial state and project it onto the constraints.
 
-    Raises TypeError, ValueError.
+    ``start`` is that of `Problem`. Raises TypeError, ValueError.
     """
     if isinstance(start, type):
         raise TypeError(f"Problem.start is the class {start.__name__}: give {start.__name__}()")
@@ -85,6 +85,7 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
     """Read a state and project it onto the constraints.
 
     It is given as nodes (n, 3) [m], as a state (nx,), or as None for the model's initial state.
+    ``field`` names it in messages.
     """
     if given is None:
         return model.initial_state

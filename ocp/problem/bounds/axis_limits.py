@@ -20,7 +20,8 @@ Corner = Annotated[Sequence[float | None], POINT, Check(partial(coordinates, non
 class AxisLimits(PathBound):
     """Base class of limits along x, y and z.
 
-    They limit a function of the state at the end of every interval of the mesh.
+    They limit a function of the state at the end of every interval of the mesh. `lower` and `upper`
+    have a number for each axis, None without a limit.
     """
 
     lower: Corner = (None, None, None)

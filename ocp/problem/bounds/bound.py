@@ -92,7 +92,10 @@ class PathBound(Bound):
     ends: ClassVar[tuple[str, ...]] = ("start", "end")
 
     def limit(self, now: Instant) -> Limit:
-        """Build the constrained quantities at an instant, and their limits."""
+        """Build the constrained quantities at an instant, and their limits.
+
+        ``now`` is the instant, whose quantities are CasADi expressions.
+        """
         raise NotImplementedError
 
     def imply(self, structure: Structure) -> PathBound:
@@ -106,8 +109,9 @@ class PathBound(Bound):
 class RateBound(Bound):
     """Base class of limits of mean rates over an interval.
 
-    A mean rate is taken from the start of an interval to that of the next. For piecewise-linear
-    controls, the limits also hold from the start to the end of the last interval.
+    A mean rate is the change from the start of an interval to that of the next, divided by the time
+    between. For piecewise-linear controls, the limits also hold from the start to the end of the
+    last interval.
     """
 
     ends: ClassVar[tuple[str, ...]] = ("end",)
@@ -132,8 +136,8 @@ def drop_infinite(limit: Limit) -> Limit:
 def broadcast_limits(field: str, value: ArrayLike | None, count: int, missing: float) -> Array:
     """Broadcast a limit to an array (``count``,), one per member.
 
-    None becomes ``missing``. Raises TypeError, ValueError. ``field`` names the argument in
-    messages.
+    A ``value`` None becomes ``missing``. Raises TypeError, ValueError. ``field`` names the argument
+    in messages.
     """
     if value is None:
         return np.full(count, missing)

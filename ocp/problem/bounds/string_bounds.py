@@ -198,7 +198,10 @@ class ForceDensityRateLimits(RateBound, kind="ForceDensityRateLimits"):
 
 @dataclass(frozen=True, eq=False)
 class TensionBound(StringLimits, PathBound):
-    """Base class of limits on string tensions at mesh points."""
+    """Base class of limits on string tensions at mesh points.
+
+    A cable has one limit (``per_cable``).
+    """
 
     per_cable: ClassVar[bool] = True
 
@@ -426,7 +429,8 @@ class RestLengthRateLimits(RateBound, kind="RestLengthRateLimits"):
 def combine_rates(structure: Structure, bounds: Iterable[Bound]) -> Array:
     """Compute the tightest limit (nu,) of rest-length rates [m/s].
 
-    It has one entry for each cable and for each string that belongs to no cable.
+    It has one entry for each cable and for each string that belongs to no cable, inf without a
+    limit. ``bounds`` are all bounds of a problem.
     """
     count = len(name_inputs(structure))
     largest = np.full(count, np.inf)
@@ -440,8 +444,8 @@ def combine_rates(structure: Structure, bounds: Iterable[Bound]) -> Array:
 def read_stiffness(field: str, given: ArrayLike | None, structure: Structure) -> Array:
     """Read the stiffness (α,) [N/m] of strings.
 
-    By default it is the stiffness of the structure. Raises ValueError for strings without
-    stiffness.
+    ``given`` is the argument of the user; None for the stiffness of the structure. ``field`` names
+    it in messages. Raises ValueError for strings without stiffness.
     """
     values = per_item(
         field, structure.stiffness if given is None else given, len(structure.strings)

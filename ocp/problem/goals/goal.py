@@ -78,8 +78,8 @@ class Goal(Value):
     def bind(self, model: Model, start: Array | None) -> Goal:
         """Complete the goal with data of model and initial state.
 
-        For example, `CenterOfMass` takes masses from the model. The initial state (nx,) is None if
-        it is free.
+        For example, `CenterOfMass` reads masses from the model. The initial state ``start`` (nx,)
+        is None if it is free. Returns the completed goal.
         """
         return self
 
@@ -93,7 +93,7 @@ class Goal(Value):
     def residuals(self, now: Instant) -> Rows:
         """Build the residuals at an instant of the plan.
 
-        By default, they are `rows` of the positions and velocities.
+        By default, they are `rows` of the positions and velocities at the instant ``now``.
         """
         return self.rows(now.model.scene.structure, now.model_nodes, now.model_velocities)
 

@@ -144,7 +144,8 @@ class AngularMomentum(Goal, kind="AngularMomentum"):
 def _rows(name: str, vector: Any, wanted: Sequence[float | None], scale: float) -> Rows:
     """Build the scaled residuals [m/s] of a vector (3,).
 
-    There is one for each axis on which ``wanted`` has a goal. ``scale`` divides them.
+    There is one for each axis on which ``wanted`` has a goal. ``scale`` divides them. ``name`` is
+    their name with {} for the axis.
     """
     axes = [axis for axis in range(3) if wanted[axis] is not None]
     value = (vector[axes] - np.array([wanted[axis] for axis in axes])) / scale

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 def _read(field: str, given: Any, example: str) -> Any:
     """Read node positions or velocities from a mapping or array.
 
-    A mapping has three numbers or None for each of its nodes; an array is (n, 3). ``example`` is
-    the cure in error messages.
+    ``given`` is the argument ``field`` of a goal. A mapping has three numbers or None for each of
+    its nodes; an array is (n, 3). ``example`` is the cure in error messages.
     """
     if not isinstance(given, Mapping):
         return finite_array(field, given, (None, 3))
@@ -416,7 +416,10 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
 
 
 def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, int, float]]:
-    """List node, axis and value of each prescribed coordinate."""
+    """List node, axis and value of each prescribed coordinate.
+
+    ``given`` is a mapping by node or an array (n, 3), and ``field`` its name in messages.
+    """
     count = len(structure.nodes)
     if not isinstance(given, Mapping):
         given = dict(enumerate(finite_array(field, given, (count, 3)).tolist()))

@@ -15,7 +15,7 @@ from tenscasadi.util.validate import TOLERANCE, Array, Check, finite_array, form
 def read_rotation(field: str, given: Any) -> Array:
     """Read a rotation matrix (3, 3) or a rotation vector (3,) [rad].
 
-    Raises TypeError, ValueError.
+    ``given`` is the argument ``field``. Raises TypeError, ValueError.
     """
     rotation = finite_array(field, given, (3,) if nesting(given) < 2 else (3, 3))
     R = rotation_matrix(rotation)
