@@ -200,7 +200,7 @@ def _string_lengths(model: Model, state: Array) -> Array:
 
 
 def at_rest(model: Model, state: Array) -> Array:
-    """Set the velocities of a state (nx,) to zero."""
+    """Copy a state (nx,) with zero velocities."""
     still = np.array(state, dtype=float)
     model.split(still)[1][:] = 0.0
     return still

@@ -361,13 +361,13 @@ class Mpc:
 
 
 class _MpcDecision(NamedTuple):
-    """Decision of the previous call; NaN before the first call.
+    """Decision of the previous call; its arrays are NaN before the first call.
 
     Attributes
     ----------
     time : float
         Its time [s].
-    force_density : ndarray, shape (nu, intervals)
+    force_density : ndarray, shape (intervals, nu)
         Controls on the prediction horizon.
     state : ndarray, shape (nx,)
         State at this time.

@@ -74,7 +74,7 @@ class MpcOptions(ControllerOptions, kind="Mpc"):
         return self.along_plan
 
     def build(self, problem: Problem, plan: PlanResult | None) -> Controller:
-        """Build the controller."""
+        """Build the controller; see `ControllerOptions.build`."""
         options = dict(self.to_fields())
         del options["along_plan"]
         return Mpc(problem, plan=plan, **options)
@@ -121,7 +121,7 @@ class MppiOptions(ControllerOptions, kind="Mppi"):
     seed: int = 0
 
     def build(self, problem: Problem, plan: PlanResult | None) -> Controller:
-        """Build the controller."""
+        """Build the controller; see `ControllerOptions.build`."""
         return Mppi(problem, **self.to_fields())
 
 
@@ -153,7 +153,7 @@ class TrackOptions(ControllerOptions, kind="Track"):
         return True
 
     def build(self, problem: Problem, plan: PlanResult | None) -> Controller:
-        """Build the controller."""
+        """Build the controller; see `ControllerOptions.build`."""
         if plan is None:
             raise ValueError("plan is None: give the plan to track")
         return track(plan, **self.to_fields())

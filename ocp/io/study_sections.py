@@ -46,7 +46,7 @@ class Refinement:
         check_fields(self, public=False)
 
     def run(self, plan: Any) -> Any:
-        """Refine a plan."""
+        """Refine a plan to the tolerance; see `Plan.refine`."""
         return plan.refine(self.tolerance, self.attempts)
 
 

@@ -294,7 +294,11 @@ def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) ->
 
 
 class _Converter:
-    """Interpolated states, force densities and rest lengths of a plan."""
+    """Conversion of a plan in force densities to rest lengths.
+
+    It interpolates the states between mesh points, and evaluates force densities and rest lengths
+    there.
+    """
 
     def __init__(self, problem: Problem, fractions: Array, found: Outcome) -> None:
         self.model = build_smooth_model(problem.model)

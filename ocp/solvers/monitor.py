@@ -112,7 +112,10 @@ class Monitor:
         return None if self._worker is None else self._worker.iterate
 
     def status(self) -> str:
-        """Return the reason why the search has to stop, or "" if it has not."""
+        """Return the reason why the search has to stop.
+
+        It is "" if the search can go on.
+        """
         if self.interrupted:
             return STOPPED
         return TIME_UP if self.left <= 0 else ""

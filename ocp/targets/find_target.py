@@ -199,8 +199,8 @@ class _TargetSearch:
     def _deforming(self, step: Array) -> Array:
         """Select the part of a change of y that deforms the structure.
 
-        This part changes positions only, without rigid-body translation. With pinned nodes there is
-        no such translation.
+        `step` (ny,) is the change, scaled. The part changes positions only, without rigid-body
+        translation. With pinned nodes there is no such translation.
         """
         nq = self.problem.model.nq
         result = np.where(np.arange(len(step)) < nq, step, 0.0)

@@ -50,7 +50,10 @@ class RowFunction:
         return part
 
     def __call__(self, y: Array) -> tuple[Array, Array]:
-        """Compute scaled residuals (m,) and their Jacobian (m, ny)."""
+        """Compute scaled residuals (m,) and their Jacobian (m, ny) at y.
+
+        The Jacobian is that with respect to scaled unknowns.
+        """
         value, gradient = self._code.first(y)
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 

@@ -301,7 +301,7 @@ class Program:
         return self.parts.unknowns.scale
 
     def rows(self, *kinds: Kind) -> list[slice]:
-        """Find the constraint rows of some kinds."""
+        """Find the constraint rows of the given kinds, a slice for each block."""
         return [
             rows
             for block, rows in zip(self.parts.rows, self.parts.slices, strict=True)
@@ -345,7 +345,7 @@ def expand(function: ca.Function) -> ca.Function:
 
 
 def split_symbol(kind: Any, *sizes: int) -> tuple[Any, tuple[Any, ...]]:
-    """Create a symbol of SX or MX (`kind`), and split it."""
+    """Create a symbol of SX or MX (`kind`), and split it into parts of given sizes."""
     z = kind.sym("z", sum(sizes))
     return z, tuple(ca.vertsplit(z, np.cumsum((0, *sizes)).tolist()))
 
@@ -431,7 +431,7 @@ class _SparseMatrix:
         return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
-        """Build the nonzeros of a block's Hessian with their indices."""
+        """Build (z, weights, chosen) → nonzeros of a block's Hessian, and their indices."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         weight = type(s).sym("weight", block.function.size1_out(0))
         varied, places = self._select_unknowns(block, s)

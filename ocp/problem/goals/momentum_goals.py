@@ -153,7 +153,10 @@ def _rows(name: str, vector: Any, wanted: Sequence[float | None], scale: float) 
 
 
 def _momentum_of_unit_speed(model: Model) -> float:
-    """Compute mass × radius of gyration [kg m] in the initial nodes."""
+    """Compute mass × radius of gyration [kg m] in the initial nodes.
+
+    The angular momentum divided by it is a velocity [m/s].
+    """
     M, N = model.mechanism.M, model.mechanism.N
     weight = np.asarray(M.sum(axis=1)).ravel()
     arms = N - (N @ weight / weight.sum())[:, None]

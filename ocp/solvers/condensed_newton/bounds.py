@@ -10,7 +10,7 @@ from tenscasadi.util.validate import LARGEST, Array, Booleans, Indices
 class VariableBounds:
     """Bounds lower ≤ w ≤ upper on variables (n,).
 
-    `below` and `above` mark the finite lower and upper bounds, `free` the variables whose bounds
+    `below` and `above` mark finite lower and upper bounds, `free` the variables whose bounds
     differ.
     """
 
@@ -95,7 +95,7 @@ class BoundDuals:
 
     @property
     def net(self) -> Array:
-        """Dual of the upper minus that of the lower bound."""
+        """Dual of the upper minus that of the lower bound, (n,)."""
         return self.upper - self.lower
 
     def stiffness(self, w: Array) -> Array:

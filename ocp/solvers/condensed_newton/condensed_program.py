@@ -161,9 +161,9 @@ class CondensedProgram:
         return float(f[0]), goals, defects, g[self.path_rows]
 
     def slope(self, u: Array, s: Array) -> Array:
-        """Evaluate the gradient of the cost with respect to (u, s).
+        """Evaluate the gradient of the cost with respect to all variables w.
 
-        Its entries are in the order of the decision variables w, see `join`.
+        w consists of u and s, see `join`.
         """
         return self._slope(self.join(u, s))[1].ravel()
 
@@ -357,7 +357,7 @@ class SparseRows(NamedTuple):
 
 
 class _SparseBlock:
-    """Part of a sparse matrix that is filled from the nonzeros of the whole.
+    """Part of a sparse matrix, filled from all its nonzeros.
 
     The whole matrix has nonzeros at (`row`, `column`). `rows` and `columns` are the new indices of
     its rows and columns, −1 for those outside the part.
@@ -377,7 +377,10 @@ class _SparseBlock:
 
 
 def _beside(matrix: SparseRows, column: Array) -> Array:
-    """Transpose a sparse matrix and append a column, as dense."""
+    """Build the dense transpose of a sparse matrix, with an appended column.
+
+    The matrix is (m, n), the column (n,), and the result (n, m + 1).
+    """
     result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
     row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.starts))
     result[matrix.columns, row] = matrix.values

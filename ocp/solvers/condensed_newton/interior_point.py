@@ -53,8 +53,8 @@ class InteriorPoint:
     def _curvature_of_cost(self, u: Array, s: Array) -> tuple[Array, sp.csr_array | None]:
         """Split the cost's Hessian into a positive diagonal and the rest.
 
-        The rest is dropped if it dominates the diagonal. The Hessian is that with respect to u.
-        Returns the diagonal and the rest or None.
+        The rest is dropped if it dominates the diagonal. The Hessian is that with respect to u, at
+        (u, s). Returns the diagonal and the rest or None.
         """
         of = self.of
         H = of.hessian(u, s).matrix[len(s) :, len(s) :]
@@ -158,7 +158,10 @@ class InteriorPoint:
     # --- the end ---
 
     def check_end(self) -> str:
-        """Return the reason why the method ends here, or "" to go on."""
+        """Return the reason why the method ends here.
+
+        It is "" if the method goes on.
+        """
         if self.error(0.0) < self.tolerance and self.point.worst < self.tolerance:
             return "optimal"
         if self.is_still(20, 0.02):
@@ -191,7 +194,10 @@ class InteriorPoint:
     # --- steps ---
 
     def advance(self) -> bool:
-        """Do one iteration; return whether it found a step."""
+        """Do one iteration; return whether it found a step.
+
+        There is none if no step improves the iterate, or if a matrix is singular.
+        """
         try:
             return self._advance()
         except np.linalg.LinAlgError:  # a matrix became infinite or singular

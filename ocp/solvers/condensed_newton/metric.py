@@ -82,7 +82,7 @@ class Projector:
     def inner(self, x: Array) -> Array:
         """Compute (J D⁻¹ Jᵀ + give)⁻¹ x for x (m + p,).
 
-        `give` are the compliances of the constraints on the diagonal.
+        `give` is the diagonal matrix of the compliances.
         """
         if self._factor is None:
             return x
