@@ -109,7 +109,10 @@ def export_acados(mpc: Mpc, folder: str | Path) -> list[Path]:
 
 
 class _Limits:
-    """Limits lower ≤ value ≤ upper of an instant, collected for acados."""
+    """Limits lower ≤ value ≤ upper of an instant, collected for acados.
+
+    They are the path constraints of the controller `mpc`.
+    """
 
     def __init__(self, mpc: Mpc) -> None:
         self.symbols = [ca.MX.sym("x", mpc.model.nx), ca.MX.sym("u", mpc.model.nu), ca.MX.sym("t")]

@@ -51,6 +51,8 @@ class HorizonLimits:
 
     Parameters
     ----------
+    scales : Scales
+        Typical sizes of the quantities.
     strength : float
         Typical force density [N/m].
     period : float

@@ -43,10 +43,18 @@ def propagate(effect: Any, stages: list[Any], driven: bool) -> Any:
     Parameters
     ----------
     effect : casadi.MX, shape (k, nx)
-        Sensitivities to k variables. They are transposed because products with sparse Jacobians
-        then have loops over consecutive numbers.
+        Sensitivities of the state before the step with respect to k variables. They are
+        transposed because products with sparse Jacobians then have loops over consecutive
+        numbers.
+    stages : list
+        Jacobians of the stages, from `linearize_step`.
     driven : bool
         Whether the variables are the control of the step.
+
+    Returns
+    -------
+    casadi.MX, shape (k, nx)
+        Sensitivities of the state after the step.
     """
     reached: list[Any] = [effect]
     for by_state, by_control in stages:

@@ -57,6 +57,8 @@ class BatchSimulation:
 
     Parameters
     ----------
+    fractions : ndarray, shape (K,)
+        Interval lengths relative to the duration.
     profile : Profile
         Groups of strings, and the numbers of intervals with equal control.
     steps : int

@@ -53,9 +53,9 @@ class Candidate:
 class Descent:
     """Gauss-Newton method with finite-difference Jacobians of goals and limits.
 
-    A batch of simulations gives each Jacobian. The unknowns are factors of the changes `directions`
-    (g, α) of the force densities [N/m]. They are linear in time between at most 500 / g knots.
-    `finer` multiplies the number of time steps.
+    A batch of simulations (`motions`) yields each Jacobian. The unknowns are factors of the changes
+    `directions` (g, α) of the force densities [N/m]. They are linear in time between at most 500 /
+    g knots. `finer` multiplies the number of time steps.
     """
 
     def __init__(self, motions: BatchSimulation, directions: Array, finer: int = 1) -> None:

@@ -98,7 +98,10 @@ def solve_sampled(
 
 
 class _Method:
-    """One run of the sampling method on a problem."""
+    """One run of the sampling method on a problem.
+
+    The fields of `solver` are its options. The other arguments are those of `solve_sampled`.
+    """
 
     def __init__(
         self,

@@ -59,9 +59,11 @@ class Search:
     nominal : ndarray, shape (α,)
         Center of the search [N/m].
     directions : ndarray, shape (g, α)
-        Largest changes [N/m].
+        Largest changes of force densities [N/m], for each of g groups of strings.
     knots : int
-        Knots of the splines in each leg.
+        Number of knots of the splines in each leg.
+    samples, rounds : int
+        Number of simulations in a round, and of rounds in a leg.
     """
 
     def __init__(

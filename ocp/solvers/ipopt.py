@@ -251,7 +251,10 @@ class Ipopt(NamedSolver, kind="Ipopt", earlier="Fatrop"):
 
 
 class _WarmStarts:
-    """Solutions of programs with shifted rows, by a solver that is built for the first of them."""
+    """Function that solves programs with shifted constraint bounds.
+
+    Its solver is built once, for the first of them.
+    """
 
     def __init__(self, solver: Ipopt) -> None:
         self._solver = solver
@@ -264,7 +267,11 @@ class _WarmStarts:
 
 
 class BestIterate(ca.Callback):
-    """Callback of IPOPT that stores the best iterate."""
+    """Callback of IPOPT that stores the best iterate.
+
+    The program has `size` variables and `rows` constraints; `objective` converts its cost to
+    physical units. `watch` is a function of the user that can stop the run.
+    """
 
     def __init__(self, size: int, rows: int, objective: float, watch: Watcher | None) -> None:
         super().__init__()

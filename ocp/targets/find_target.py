@@ -96,7 +96,8 @@ def _find_end(
 class _TargetSearch:
     """Search for a state and duration that meet all goals.
 
-    The unknown is y = (x, duration). It also satisfies the conserved quantities (invariants).
+    The unknown is y = (x, duration). It also satisfies the conserved quantities (invariants). The
+    duration in y is the time of the goals, the fraction `share` of the plan's duration.
     """
 
     def __init__(

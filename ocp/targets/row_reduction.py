@@ -30,9 +30,9 @@ from tenscasadi.util.validate import Array, Indices
 class RowFunction:
     """Residuals of y with numerical values, Jacobians and Hessians.
 
-    They are CasADi expressions. Residuals and unknowns are scaled. Groups of residuals are
-    differentiated one by one, because a few that depend on all unknowns would slow down the
-    derivatives of the others.
+    Residuals are CasADi expressions, scaled. The scaled unknowns are y divided by `scale` (ny,).
+    The `groups` of residuals are differentiated one by one, because a few that depend on all
+    unknowns would slow down the derivatives of the others.
     """
 
     def __init__(self, y: Any, groups: Sequence[Any], scale: Array) -> None:
@@ -131,7 +131,10 @@ class _Curvature(NamedTuple):
 
 
 class _Code:
-    """Scaled residuals of y as CasADi Functions."""
+    """Scaled residuals of y as CasADi Functions.
+
+    `groups` are their expressions, see `RowFunction`.
+    """
 
     def __init__(self, y: Any, groups: Sequence[Any]) -> None:
         self._y, scaled = y, ca.vertcat(*groups)

@@ -29,6 +29,9 @@ EARLY, LATE = 1 / 3, 2 / 3
 class DiscreteEquations:
     """Discrete Euler-Lagrange equations of all mesh points.
 
+    Their variables are those of the plan (`v`), and forces that are added. `used` marks the entries
+    on which limits, costs and goals depend.
+
     Attributes
     ----------
     pushes : ndarray of int, shape (K + 1, c + 3s)

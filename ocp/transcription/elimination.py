@@ -215,6 +215,9 @@ def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> lis
 class _Substitution:
     """Substitution with A or Aᵀ, step by step.
 
+    A (`size`, `size`) has its `entries` outside the diagonal blocks at (`row`, `column`). `ranges`
+    are the rows of each step.
+
     Attributes
     ----------
     steps : list of (int, int, int, ndarray or None)
@@ -262,7 +265,9 @@ class _Substitution:
 class _Group:
     """Diagonal blocks of equal sparsity, and their inverses.
 
-    Arrays of blocks have shape (count, m, m).
+    `members` are the numbers of the blocks (width, width). `places` are the positions of the
+    nonzeros in a block, row by row, and `entries` their indices among all nonzeros. `constant` and
+    `sample` are those of `Elimination`. Arrays of blocks have shape (count, m, m) with the width m.
     """
 
     def __init__(

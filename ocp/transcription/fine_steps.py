@@ -50,7 +50,11 @@ Measure = Callable[[Array, MotionResidual | None], MotionResidual]
 
 
 class FineSteps:
-    """Integration in fine steps of order 8 under planned controls."""
+    """Integration in fine steps of order 8 under planned controls.
+
+    The plan is a solution of the program. `fractions` (K,) are the interval lengths relative to the
+    duration.
+    """
 
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self.program, self.model, self.fractions = program, model, fractions

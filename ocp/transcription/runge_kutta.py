@@ -68,7 +68,8 @@ class RungeKuttaTranscription(Transcription):
 class _Steps:
     """Equations of the steps of an s-stage Runge-Kutta method.
 
-    Each interval has `substeps` steps.
+    A (s, s) and b (s,) are the coefficients of the method, and `v` the variables of the plan. Each
+    interval has `substeps` steps.
 
     Attributes
     ----------

@@ -129,6 +129,9 @@ class Entries:
 class Variables:
     """Decision variables of a plan or phase on a mesh.
 
+    The mesh has intervals of the lengths `fractions` (K,) relative to the duration. `start` are the
+    indices of the initial state, if it belongs to the preceding phase.
+
     Attributes
     ----------
     entries : Entries

@@ -347,7 +347,7 @@ class CenterOfMass(Goal, kind="CenterOfMass", earlier="CentreOfMass"):
             )
 
     def bind(self, model: Model, start: Array | None) -> Goal:
-        """Take the masses of the nodes from the model.
+        """Read the masses of the nodes from the model.
 
         Parameters
         ----------

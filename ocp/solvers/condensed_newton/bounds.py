@@ -86,7 +86,11 @@ class VariableBounds:
 
 
 class BoundDuals:
-    """Dual variables (n,) of lower and upper bounds."""
+    """Dual variables (n,) of lower and upper bounds.
+
+    Their initial values are μ / distance from the bound, at the variables `w` and the barrier
+    parameter μ (`mu`).
+    """
 
     def __init__(self, bounds: VariableBounds, w: Array, mu: float) -> None:
         low, high = bounds.gaps(w)

@@ -186,7 +186,7 @@ class CondensedProgram:
 
 
 class Expansion:
-    """Derivatives of the condensed program at an iterate.
+    """Derivatives of the condensed program at an iterate (u, s).
 
     Attributes
     ----------

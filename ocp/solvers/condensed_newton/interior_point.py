@@ -22,7 +22,8 @@ class InteriorPoint:
 
     A funnel, a decreasing bound on the violation, replaces a filter. Step lengths, duals and
     barrier parameters are in units of `unit`, the mean curvature of the cost. Where the cost has
-    none, a small constant replaces it.
+    none, a small constant replaces it. The iteration begins at (u, s), and ends at the optimality
+    error `tolerance`. `of` is the program.
     """
 
     def __init__(self, of: CondensedProgram, u: Array, s: Array, tolerance: float) -> None:

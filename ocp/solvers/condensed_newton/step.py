@@ -43,10 +43,14 @@ class TrialStep(NamedTuple):
 class QuadraticModel:
     """Quadratic model of cost and barriers about an iterate.
 
+    It is a function of the step of u.
+
     Parameters
     ----------
     stiffness : ndarray, shape (n,)
         Second derivatives of the barriers of the bounds on u.
+    gradient : ndarray, shape (n,)
+        Gradient of the cost with barrier terms.
     working : ndarray of int
         Path constraints that are soft constraints of the projector.
     exact : bool
