@@ -240,9 +240,9 @@ class Effort(ControlCost, kind="Effort"):
 class Smoothness(ControlCost, kind="Smoothness"):
     """Cost weight · Σ (γ⁺ − γ)²/h over neighboring intervals.
 
-    It approximates ∫ Σ γ̇² dt. Under rest-length control, rest lengths take the place of γ. The
-    time h separates the midpoints of neighboring intervals; for piecewise-linear controls, it is
-    the length of an interval.
+    It approximates ∫ Σ γ̇² dt. Under rest-length control, rest lengths replace γ. The time h
+    separates the midpoints of neighboring intervals; for piecewise-linear controls, it is the
+    length of an interval.
 
     Parameters
     ----------

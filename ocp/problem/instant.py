@@ -21,7 +21,7 @@ class Instant:
     """Positions, lengths and forces at one instant of a plan.
 
     They are CasADi expressions, built at their first use. User-defined functions of `Constraint`,
-    `Integral` and `AtEnd` take an instant as their argument.
+    `Integral` and `AtEnd` have an instant as argument.
 
     Parameters
     ----------

@@ -228,8 +228,9 @@ def _measure(plan: PlanResult, target: Target, motion: Trajectory) -> _Verified:
 def find_missed_goal(plan: PlanResult, target: Target, tolerance: float) -> str:
     """Find the goal row that the plan itself violates most.
 
-    Waypoints refer to the interpolant by which they are imposed. `target` has the goals. Returns ""
-    if the planned states meet all goals within the tolerance [m].
+    Waypoints are evaluated by the interpolant of their constraints, see `build_interpolant`.
+    `target` has the goals. Returns "" if the planned states meet all goals within the tolerance
+    [m].
     """
     errors = measure_errors(plan, target, interpolate_plan(plan))
     return "" if errors.rows.max(initial=0.0) <= tolerance else errors.worst

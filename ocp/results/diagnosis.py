@@ -52,8 +52,8 @@ def build_interpolant(model: Model, states: Array, duration: float, fractions: A
     """Build the interpolant of the planned states.
 
     It is a function of the fraction of the duration: the cubic Hermite interpolant of the states (K
-    + 1, nx) at the mesh points, by which waypoints are imposed. `fractions` (K,) are the interval
-    lengths relative to the duration.
+    + 1, nx) at the mesh points. The constraints of waypoints use the same interpolant. `fractions`
+    (K,) are the interval lengths relative to the duration.
     """
 
     def state_at(share: float) -> Array:

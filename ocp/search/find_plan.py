@@ -195,8 +195,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     """Run one attempt and its acceptance test.
 
     Goal rows are chosen to be independent at one state. If the optimum violates the other rows, a
-    second run imposes the rows that are independent near its end. The second run counts if it
-    succeeds. Returns the plan, and the final state from which the next attempt starts.
+    second run has as constraints the rows that are independent near its end. The second run counts
+    if it succeeds. Returns the plan, and the final state from which the next attempt starts.
     """
     task = search.task
     outcome, target = run_attempt(task, attempt)
@@ -229,7 +229,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
 def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> Target | None:
     """Find independent goal rows near the end of an optimum.
 
-    They replace those imposed if the optimum misses goals that seemed dependent, see
+    They replace the present ones if the optimum misses goals that seemed dependent, see
     `Target.dependent`. `found` is the result of the attempt. Returns None if the optimum meets the
     goals, or if no other rows are found.
     """

@@ -100,9 +100,9 @@ def limit_speeds(problem: Problem, twin: Problem) -> Problem | None:
 class RestLengthSpeeds(RateBound):
     """Limits of rest-length rates at the start of intervals, and of their means.
 
-    The limits are `rate` (α,) [m/s]. Converted rest lengths ρ = s (1 − γ/k) + c ṡ/k are held to the
-    limits on a finer mesh. Limits of mean rates alone would permit rates that alternate within the
-    intervals.
+    The limits are `rate` (α,) [m/s]. Converted rest lengths ρ = s (1 − γ/k) + c ṡ/k have to satisfy
+    the limits on a finer mesh. Limits of mean rates alone would permit rates that alternate within
+    the intervals.
     """
 
     rate: Array

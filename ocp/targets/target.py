@@ -101,7 +101,7 @@ class Target:
 
     @property
     def count(self) -> int:
-        """Number of imposed independent goal constraints."""
+        """Number of independent goal constraints."""
         return len(self.weights)
 
     @property
@@ -114,7 +114,7 @@ class Target:
 
     @property
     def rows(self) -> ca.Function:
-        """Function x → imposed goal residuals, zero if they are met."""
+        """Function x → independent goal residuals, zero if they are met."""
         x = ca.MX.sym("x", self.single.size1_in(0))
         return ca.Function(
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
@@ -122,7 +122,7 @@ class Target:
 
     @property
     def dependent(self) -> Indices:
-        """Indices of goal rows that the imposed combinations do not determine.
+        """Indices of goal rows that the independent combinations do not determine.
 
         Near the target the conserved quantities satisfy them. Elsewhere they need not: a bar
         perpendicular to its direction at the target can still rotate.

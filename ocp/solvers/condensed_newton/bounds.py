@@ -144,7 +144,7 @@ class BoundDuals:
 
 
 class WorkingSet:
-    """Path constraints that a step treats explicitly.
+    """Path constraints that are soft constraints of a step.
 
     The other path constraints enter by the diagonal of the metric, and by products with the second
     derivatives.

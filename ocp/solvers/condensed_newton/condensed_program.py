@@ -120,7 +120,7 @@ class CondensedProgram:
     def move_rows(self, program: Program) -> None:
         """Replace the bounds of the constraints by those of a program.
 
-        All goals count again.
+        All goals are constraints again, also those that `keep_independent` dropped.
         """
         self.program, self.independent = program, None
         self.path_bounds = VariableBounds(
