@@ -11,7 +11,10 @@ from tenscasadi.util.casadi_tools import symbol_kind
 
 
 def build_slopes(model: Model) -> ca.Function:
-    """Build the Function (x, u, h) → ẋ and h (∂ẋ/∂x)ᵀ, h (∂ẋ/∂u)ᵀ."""
+    """Build the Function (x, u, h) → ẋ and h (∂ẋ/∂x)ᵀ, h (∂ẋ/∂u)ᵀ.
+
+    The arguments are state, control and step [s].
+    """
     kind = symbol_kind(model.ode)
     x, u, h = kind.sym("x", model.nx), kind.sym("u", model.nu), kind.sym("h")
     rate = model.ode(x, u)

@@ -108,9 +108,9 @@ class RestLengthSpeeds(RateBound):
     rate: Array
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the rates under force densities that are linear in between.
+        """Build the rest-length rates between two instants, and their limits.
 
-        `interval` is the time [s] from `before` to `after`.
+        Force densities are linear in between. `interval` is the time [s] from `before` to `after`.
         """
         structure = before.model.scene.structure
         k, c = ca.DM(structure.stiffness), ca.DM(structure.damping)

@@ -207,8 +207,8 @@ class DiscreteEquations:
     def _momentum(self, velocities: Any) -> Any:
         """Compute the momenta of the free coordinates.
 
-        `velocities` (3, n) are those of all nodes, moving supports included. Displacements give
-        momenta times time.
+        `velocities` (3, n) are those of all nodes, moving supports included. If they are
+        displacements, the result is momenta × time.
         """
         return self.model.mechanism.generalized_forces(
             ca.mtimes(velocities, sparse(self.model.mechanism.M))
