@@ -65,9 +65,10 @@ def find_plan(
     monitor: Monitor | None = None,
     tracked: bool = False,
 ) -> PlanResult:
-    """Find a plan by the first attempt that succeeds.
+    """Find a plan by a sequence of methods, of which the first success counts.
 
-    Arguments and errors are those of `ocp.solve`.
+    They are those of `policy.attempts`, or the given method. Without a success, the best failed
+    plan is returned. Arguments and errors are those of `ocp.solve`; `monitor` has the time limit.
     """
     monitor = Monitor() if monitor is None else monitor
     automatic = transcription is None and solver is None

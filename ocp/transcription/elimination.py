@@ -157,9 +157,10 @@ def _group_alike(
 ) -> list[_Group]:
     """Group the diagonal blocks of equal sparsity.
 
-    `starts` are the first rows of the blocks and the end, `own` is the block of each row. `row` and
-    `column` are the places of all nonzeros, and `entries` the nonzeros inside the blocks.
-    `constant` marks constant ones, and `sample` are values.
+    `starts` (blocks + 1) are the first row of each block, then the number of rows. `own` (rows) is
+    the block of each row. `row` and `column` (nnz) are the places of all nonzeros, and `entries` the
+    indices of those inside diagonal blocks. `constant` (nnz) marks nonzeros that do not depend on
+    the variables, and `sample` (nnz) has the nonzeros at one point.
     """
     order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
     alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}

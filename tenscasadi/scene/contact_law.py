@@ -57,10 +57,11 @@ def compute_forces(law: Any, contact: Contact, V: Any, touching: Any = None) -> 
 
 
 def find_switching(law: Any, contact: Contact, V: Any) -> Any:
-    """Compute functions (1×n) [m] that are positive in contact.
+    """Compute functions (1×n) [m] whose signs change as normal forces begin or end.
 
-    `law` is a ground or `BarContact`. V (3×n) [m/s] are relative velocities of the touching
-    surfaces. `contact` has the penetration depths.
+    They are positive where the surfaces overlap and the damped normal force presses. `law` is a
+    ground or `BarContact`. V (3×n) [m/s] are relative velocities of the touching surfaces.
+    `contact` has the penetration depths.
     """
     depth = contact.depth
     return ca.fmin(depth, depth - law.damping / law.stiffness * along(contact.outward, V))

@@ -147,8 +147,9 @@ def ground_numbers(
 
     They are stiffness, damping, friction and slip speed. `solref` and `solreffriction` (2,) are
     MuJoCo's attributes in normal and tangential direction. `friction` is the coefficient, None
-    without friction. `inverse` is the inverse mass [1/kg], and `standing` the load on one
-    supporting node [N].
+    without friction. `inverse` is the inverse mass of the contact [1/kg], by which MuJoCo turns
+    accelerations into forces. The slip speed has MuJoCo's tangential damping under the load
+    `standing` on one supporting node [N].
     """
     stiffness, damping = _direct(solref)
     found: dict[str, float | None] = {

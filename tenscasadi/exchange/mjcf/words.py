@@ -132,10 +132,10 @@ class Defaults:
 
 
 def check(element: Element) -> Element:
-    """Check an element for attributes without a counterpart in a scene.
+    """Check an element for attributes that affect the dynamics and have no counterpart.
 
-    Those that affect the dynamics are omitted. Returns the element. Raises SceneFileError for them
-    if the import is strict.
+    They are recorded as omitted from the scene. If the import is strict, SceneFileError is raised
+    instead. Returns the element.
     """
     read, neutral = _READ.get(element.tag), _NEUTRAL.get(element.tag, {})
     for name, value in element.attributes.items():

@@ -401,9 +401,10 @@ class StaticEquations:
 
     @cached_property
     def _load_expressions(self) -> tuple[Any, Any]:
-        """Loads and ground forces (3n) at the nodes N.
+        """Build the sum of loads and ground forces (3n) [N], and the ground forces (3n) [N].
 
-        Normal forces at the nodes C limit the friction of slips from A to N.
+        They act at node positions N. Friction opposes the slip from positions A to N; its limit is
+        the normal force at positions C.
         """
         N, C, A = (ca.reshape(nodes, 3, -1) for nodes in self._load_symbols[:3])
         slip, time, w = self._load_symbols[3:]
