@@ -155,7 +155,7 @@ def assess_plan(
     open_loop = counts = (
         _verify(plan, target, replay, False)
         if whole
-        else _Verified(None, np.nan, np.nan, "its force densities are not finite")
+        else _Verified(None, np.nan, np.nan, "its force densities or its duration are not finite")
     )
     missed = find_missed_goal(plan, target, tolerance) if whole else ""
     growth = ""
