@@ -122,7 +122,7 @@ def _find_force_densities(
     fractions = attempt.transcription.fractions
     found, target = run_attempt(twin, attempt._replace(twin=None))
     iterations = found.iterations
-    for _ in range(2):
+    for _ in range(2):  # a third tightening diverges near the least feasible limit
         tighter = tighten_rates(problem, twin.problem, fractions, found)
         if tighter is None:
             break
