@@ -16,9 +16,10 @@ from ocp.problem.control import (
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.linearization import EquationDerivatives
 from tenscasadi.scene.loads import Gravity
-from tenscasadi.statics.force_density import EquilibriumError, equilibrium_force_density
+from tenscasadi.statics.force_density import find_force_density
 from tenscasadi.structure.cables import add_compliances
 from tenscasadi.structure.structure import Structure
+from tenscasadi.util.immutable import keep
 from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
@@ -131,8 +132,13 @@ def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tu
 def balance(problem: Problem, state: Array) -> Array:
     """Find force densities (α,) in equilibrium at a state [N/m].
 
-    They are within the limits. If no equilibrium is found, they are the lower limits.
+    They are within the limits. If no equilibrium is found, they are the lower limits. The problem
+    stores them, as guesses on several meshes and paths share their first and last states.
     """
+    return keep(problem, ("balance", state.tobytes()), lambda: _balance(problem, state))
+
+
+def _balance(problem: Problem, state: Array) -> Array:
     lower, upper = problem.force_density_limits
     model = problem.model
     structure = model.scene.structure
@@ -141,12 +147,10 @@ def balance(problem: Problem, state: Array) -> Array:
         shape = (
             structure if np.array_equal(nodes, structure.nodes) else structure.replace(nodes=nodes)
         )
-        gamma = equilibrium_force_density(
-            shape, _weights(structure, model.scene.gravity), minimum=0.0
-        )
-    except (EquilibriumError, ValueError):
+        gamma = find_force_density(shape, _weights(structure, model.scene.gravity))
+    except ValueError:
         return lower
-    return lower if np.any(gamma > upper) else np.maximum(gamma, lower)
+    return lower if gamma is None or np.any(gamma > upper) else np.maximum(gamma, lower)
 
 
 def _interpolate(first: Array, last: Array, count: int) -> Array:

@@ -103,9 +103,14 @@ class LinearDynamics:
     def accelerations_by_control(self) -> Array:
         """Compute the control Jacobians (K, nq, nu) of the accelerations."""
         model, nq = self.model, self.model.nq
-        controls = np.eye(model.nx + model.nw)[:, model.nx : model.nx + model.nu]
-        found = [self.tangent(k, controls)[nq : 2 * nq] for k in range(len(self.rates))]
-        return np.reshape(found, (len(found), nq, model.nu))
+        row = np.repeat(np.arange(len(self.pattern.indptr) - 1), np.diff(self.pattern.indptr))
+        own = np.flatnonzero((row >= model.nx) & (row < model.nx + model.nu))
+        changes = np.zeros((len(self.rates), self.pattern.shape[1], model.nu))
+        changes[:, self.pattern.indices[own], row[own] - model.nx] = self.slopes[:, own]
+        forces, kept = changes[:, :nq], changes[:, nq:]
+        back = self.inverse @ (self.weighted @ forces + kept)
+        free = (self.inverse_mass @ np.hstack(forces)).reshape(nq, len(forces), model.nu)
+        return np.asarray(free.transpose(1, 0, 2) - self.weighted.transpose(0, 2, 1) @ back)
 
 
 class EquationDerivatives:

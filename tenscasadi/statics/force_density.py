@@ -5,8 +5,8 @@ They satisfy N K = W with K = C_sᵀ γ̂ C_s − C_bᵀ λ̂ C_b (Eqs. 58, 60 a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,6 +22,7 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
     Array,
+    Booleans,
     instance,
     nonnegative,
     per_item,
@@ -95,25 +96,13 @@ def equilibrium_force_density(
     >>> tc.equilibrium_force_density(tc.shapes.prism(), minimum=2.0).round(3).tolist()
     [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 3.464, 3.464, 3.464]
     """
-    instance("structure", structure, Structure, "a tenscasadi.Structure")
-    alpha = len(structure.strings)
-    either = structure.names.mask("compression_strings", "string", compression_strings)
-    least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
-    least = np.where(either, 0.0, least)
-    shape = structure.nodes.shape
-    load = np.zeros(shape) if loads is None else read_loads("loads", loads, structure)
-    directions = free_directions(structure)
-    w = directions.T @ load.ravel()
-    balance = equilibrium_matrix(structure)
-    if balance.shape[0] * balance.shape[1] < 1e6:  # dense operations are faster
-        balance = balance.toarray()
-    strings, bars = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths)
-    gamma, unbalanced = _balance(structure, strings, bars, w, least, ~either)
-    residual = float(np.linalg.norm(unbalanced))
-    force = max(np.abs(w).max(initial=0.0), abs(strings * least).max() if strings.size else 0.0)
-    if residual > NEGLIGIBLE * force:
-        size = np.linalg.norm((directions @ unbalanced).reshape(-1, 3), axis=1)
-        worst, bounds = int(np.argmax(size)), least[~either]
+    balance = _Balance.of(structure, loads, minimum, compression_strings)
+    gamma, unbalanced = balance.solve()
+    rest = unbalanced()
+    residual = float(np.linalg.norm(rest))
+    if residual > balance.tolerance:
+        size = np.linalg.norm((free_directions(structure) @ rest).reshape(-1, 3), axis=1)
+        worst, bounds = int(np.argmax(size)), balance.least[balance.bounded]
         bound = f"of at least {bounds.min():g} N/m " if bounds.size else ""
         message = (
             f"no force densities {bound}hold the structure: {residual:.3g} N stay unbalanced at best, most at node {worst} "
@@ -128,22 +117,78 @@ def equilibrium_force_density(
     return gamma
 
 
-def _balance(
-    structure: Structure, strings: Any, bars: Any, w: Array, least: Array, bounded: Any
-) -> tuple[Array | None, Array]:
-    """Find the smallest force densities, with one tension in each cable.
+def find_force_density(structure: Structure, loads: NodalLoads | None = None) -> Array | None:
+    """Find the smallest force densities of at least 0 in equilibrium.
 
-    The arguments `strings` to `bounded` and the result are those of `least_force_density`, which
-    may have None for the force densities.
+    They are those of `equilibrium_force_density`. Returns None if there are none, in less time than
+    the error with its residual takes.
     """
-    if not structure.cables:
-        return least_force_density(strings, bars, w, least, bounded)
-    alpha = len(structure.strings)
-    inputs = int(structure.cable_of.max()) + 1
-    basis = density_basis(structure)[:alpha, :inputs].toarray()
-    size = basis[np.arange(alpha), structure.cable_of]
-    own, held = np.zeros(basis.shape[1]), np.zeros(basis.shape[1], dtype=bool)
-    np.maximum.at(own, structure.cable_of, least / size)
-    np.logical_or.at(held, structure.cable_of, bounded)
-    found, unbalanced = least_force_density(strings @ basis, bars, w, own, held)
-    return None if found is None else basis @ found, unbalanced
+    balance = _Balance.of(structure, loads, 0.0, ())
+    gamma, unbalanced = balance.solve()
+    found = gamma is not None and np.linalg.norm(unbalanced()) <= balance.tolerance
+    return gamma if found else None
+
+
+class _Balance(NamedTuple):
+    """Equilibrium equations of the force densities of a structure.
+
+    Attributes
+    ----------
+    structure : Structure
+        The structure.
+    strings, bars, w, least, bounded
+        Arguments of `least_force_density`.
+    """
+
+    structure: Structure
+    strings: Any
+    bars: Any
+    w: Array
+    least: Array
+    bounded: Booleans
+
+    @staticmethod
+    def of(
+        structure: Structure,
+        loads: NodalLoads | None,
+        minimum: ArrayLike,
+        compression_strings: Iterable[int | str],
+    ) -> _Balance:
+        """Build the equations from the arguments of `equilibrium_force_density`."""
+        instance("structure", structure, Structure, "a tenscasadi.Structure")
+        alpha = len(structure.strings)
+        either = structure.names.mask("compression_strings", "string", compression_strings)
+        least = nonnegative("minimum", per_item("minimum", minimum, alpha), "string")
+        least = np.where(either, 0.0, least)
+        shape = structure.nodes.shape
+        load = np.zeros(shape) if loads is None else read_loads("loads", loads, structure)
+        w = free_directions(structure).T @ load.ravel()
+        balance = equilibrium_matrix(structure)
+        if balance.shape[0] * balance.shape[1] < 1e6:  # dense operations are faster
+            balance = balance.toarray()
+        strings, bars = balance[:, :alpha], balance[:, alpha:] * (1 / structure.bar_lengths)
+        return _Balance(structure, strings, bars, w, least, ~either)
+
+    @property
+    def tolerance(self) -> float:
+        """Largest unbalanced force of an equilibrium [N]."""
+        force = abs(self.strings * self.least).max() if self.strings.size else 0.0
+        return NEGLIGIBLE * float(max(np.abs(self.w).max(initial=0.0), force))
+
+    def solve(self) -> tuple[Array | None, Callable[[], Array]]:
+        """Find the smallest force densities, with one tension in each cable.
+
+        The result is that of `least_force_density`.
+        """
+        structure, strings, bars, w, least, bounded = self
+        if not structure.cables:
+            return least_force_density(strings, bars, w, least, bounded)
+        alpha = len(structure.strings)
+        inputs = int(structure.cable_of.max()) + 1
+        basis = density_basis(structure)[:alpha, :inputs].toarray()
+        size = basis[np.arange(alpha), structure.cable_of]
+        own, held = np.zeros(basis.shape[1]), np.zeros(basis.shape[1], dtype=bool)
+        np.maximum.at(own, structure.cable_of, least / size)
+        np.logical_or.at(held, structure.cable_of, bounded)
+        found, unbalanced = least_force_density(strings @ basis, bars, w, own, held)
+        return None if found is None else basis @ found, unbalanced

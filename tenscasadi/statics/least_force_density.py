@@ -57,7 +57,7 @@ class _LeastForceIterate(NamedTuple):
 
 def least_force_density(
     A: Any, B: Any, w: Array, least: Array, bounded: Booleans
-) -> tuple[Array | None, Array]:
+) -> tuple[Array | None, Callable[[], Array]]:
     """Compute the force densities of smallest norm that balance loads.
 
     They minimize Σγ² with A γ + B t = w for any bar forces t, and γ ≥ `least` where `bounded`.
@@ -78,8 +78,8 @@ def least_force_density(
     Returns
     -------
     tuple
-        γ (α,) [N/m], or None if there is none, and the least unbalanced forces w − A γ − B t (n,)
-        [N].
+        γ (α,) [N/m], or None if there is none, and a function that computes the least unbalanced
+        forces w − A γ − B t (n,) [N]. Without γ, it solves another program.
 
     References
     ----------
@@ -95,17 +95,23 @@ def least_force_density(
     program = _LeastForceProgram(
         A[:, inside] / length, others, w / (unit * length), least[inside] / unit, 1.0, weights, 0.0
     )
+
+    def convert(above: Array, free: Array) -> tuple[Array, Array]:
+        gamma = np.zeros(alpha)
+        gamma[inside] = np.maximum(least[inside], least[inside] + above * unit)
+        gamma[outside] = free[: len(outside)] * unit
+        return gamma, w - A @ gamma - B @ (free[len(outside) :] * unit * length)
+
+    def relax() -> Array:  # minimize the unbalanced forces, with a negligible weight of γ
+        relaxed = program._replace(weight=1e-8, weights=1e-8 * weights, slack=1.0)
+        point, _ = _interior_point(relaxed)
+        return convert(point.above, point.free)[1]
+
     point, converged = _interior_point(program)
-    if converged:
-        above, free = _polish(program, point)
-    else:  # minimize the unbalanced forces, with a negligible weight of γ
-        point, _ = _interior_point(program._replace(weight=1e-8, weights=1e-8 * weights, slack=1.0))
-        above, free = point.above, point.free
-    gamma = np.zeros(alpha)
-    gamma[inside] = np.maximum(least[inside], least[inside] + above * unit)
-    gamma[outside] = free[: len(outside)] * unit
-    unbalanced = w - A @ gamma - B @ (free[len(outside) :] * unit * length)
-    return gamma if converged else None, unbalanced
+    if not converged:
+        return None, relax
+    gamma, unbalanced = convert(*_polish(program, point))
+    return gamma, lambda: unbalanced
 
 
 def _interior_point(program: _LeastForceProgram) -> tuple[_LeastForceIterate, bool]:

@@ -15,6 +15,7 @@ from statics_cases import random_structure, row_of
 from tenscasadi.statics.force_density import (
     EquilibriumError,
     equilibrium_force_density,
+    find_force_density,
 )
 from tenscasadi.statics.least_force_density import least_force_density
 from tenscasadi.structure import shapes
@@ -237,6 +238,17 @@ def test_residual_of_no_equilibrium_is_the_least(seed: int) -> None:
     target = pushed[~weak.fixed] - strings.sum(axis=1)  # of the minimum of 1 N/m
     least = nnls(np.hstack([strings, bars, -bars]), target, maxiter=10_000)[1]
     assert refused.value.residual == pytest.approx(least, rel=1e-6)
+
+
+def test_search_without_residual_finds_the_same() -> None:
+    s, loads = hanging()
+    for own in (loads, None, -loads, loads + [(0, 1.0, 0), (0, 0, 0), (0, 0, 0)]):
+        try:
+            exact = equilibrium_force_density(s, own, minimum=0.0)
+        except EquilibriumError:
+            assert find_force_density(s, own) is None
+        else:
+            assert np.array_equal(find_force_density(s, own), exact)
 
 
 @pytest.mark.parametrize("seed", range(30))
