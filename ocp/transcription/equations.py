@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from ocp.transcription.mesh import project_states
-from tenscasadi.dynamics.equation_of_motion import compute_forces, forward_dynamics
+from tenscasadi.dynamics.equation_of_motion import compute_forces
 from tenscasadi.dynamics.linearization import EquationDerivatives, displacements
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.class_one import measure_extent
@@ -17,7 +17,7 @@ from tenscasadi.util.validate import Array, Indices
 
 def constraint_names(model: Model) -> tuple[str, ...]:
     """Name the independent constraints of bars and joints."""
-    joints = len(model.constraints(model.initial_state).joints)
+    joints = int(model.mechanism.active.sum())
     names = [f"{name} length" for name in model.mechanism.bar_names]
     names += [f"joint constraint {k}" for k in range(joints)]
     return tuple(names[k] for k in find_independent(model))
@@ -99,15 +99,6 @@ def evaluate_multipliers(model: Model, states: Array, controls: Array) -> Array:
     Multipliers of the c bar and joint constraints are zero where undefined, such as that of a bar
     of zero length.
     """
-    kind, mech = symbol_kind(model.ode), model.mechanism
-    x, u = kind.sym("x", model.nx), kind.sym("u", model.nu)
-    N, V, time = model.unpack(x)
-    _, lam, Omega = forward_dynamics(model, N, V, model.extend_inputs(x, u), time)
-    held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
-    joints = ca.vec(ca.densify(Omega))
-    if mech.frames is not None:
-        joints = ca.mtimes(mech.constrained_directions.T, joints)
-    mu = ca.densify(ca.vertcat(lam.T * ca.DM(mech.lengths), joints[held]))
-    mu = mu[find_independent(model).tolist()]
-    found = ca.Function("multipliers", [x, u], [mu]).map(len(states))(states.T, controls.T)
-    return np.asarray(np.nan_to_num(found.full().T, posinf=0.0, neginf=0.0))
+    found = EquationDerivatives.of(model).at(states, controls).multipliers
+    kept = found[:, find_independent(model)]
+    return np.asarray(np.nan_to_num(kept, posinf=0.0, neginf=0.0))

@@ -40,6 +40,8 @@ class LinearDynamics:
         Model with nx states, nq coordinates and nw = nu + np inputs.
     rates : ndarray (K, nx)
         Time derivatives ẋ of the states.
+    multipliers : ndarray (K, c)
+        Multipliers μ of the constraints [N].
     inverse_mass : array (nq, nq)
         M⁻¹, dense or sparse.
     weighted, inverse : ndarray (K, c, nq), (K, c, c)
@@ -54,6 +56,7 @@ class LinearDynamics:
 
     model: Model
     rates: Array
+    multipliers: Array
     inverse_mass: Any
     weighted: Array
     inverse: Array
@@ -194,7 +197,7 @@ class EquationDerivatives:
         pattern = self._pattern.copy()
         slopes = slopes.reshape(K, pattern.nnz)
         return LinearDynamics(
-            self.model, rates, inverse_mass, weighted, inverse, slopes, pattern, internal
+            self.model, rates, mu, inverse_mass, weighted, inverse, slopes, pattern, internal
         )
 
     def system_at(self, state: Array, inputs: Array) -> tuple[Any, Any, Array, Array]:
