@@ -166,7 +166,18 @@ class StateSpace(NodeCoordinates):
         state. The dynamics preserve these constraints, so they are redundant at later times.
         """
         value = self.arguments(x, None)[0]
-        N, V, time = self.unpack(value)
+        if isinstance(value, ca.SX):  # many derivations ask for these expressions
+            return Constraints(*self.keep("constraints", self._build_constraints).call([value]))
+        rows = self._constraint_rows(value)
+        return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
+
+    def _build_constraints(self) -> ca.Function:
+        x = ca.SX.sym("x", self.nx)
+        return ca.Function("constraints", [x], [ca.SX(row) for row in self._constraint_rows(x)])
+
+    def _constraint_rows(self, x: Any) -> list[Any]:
+        """Compute the rows of `constraints` for a CasADi column x."""
+        N, V, time = self.unpack(x)
         mech = self.mechanism
         B, (D, Dd, _) = mech.bar_vectors(N), self.targets(time)
         held = np.flatnonzero(mech.active.ravel(order="F")).tolist()
@@ -177,10 +188,8 @@ class StateSpace(NodeCoordinates):
         own = [ca.vec(ca.densify(row)) for row in (joints, joint_rates)]
         if mech.frames is not None:
             own = [ca.mtimes(mech.constrained_directions.T, row) for row in own]
-        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)] + [
-            row[held] for row in own
-        ]
-        return Constraints(*(row.full().ravel() if isinstance(row, ca.DM) else row for row in rows))
+        rows = [row.T / ca.DM(mech.lengths) for row in (bars, bar_rates)]
+        return rows + [row[held] for row in own]
 
     def arguments(self, x: Any, u: Any, parameters: Any = None) -> tuple[Any, ...]:
         """Convert state, control and parameters to CasADi values.

@@ -8,7 +8,7 @@ import numpy as np
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.scheme import extent
 from tenscasadi.simulation.verdict.thresholds import EPSILON
-from tenscasadi.util.casadi_tools import ArrayFunction
+from tenscasadi.util.casadi_tools import ArrayFunction, symbol_kind
 from tenscasadi.util.validate import Array
 
 
@@ -21,7 +21,7 @@ def start_violation(model: Model) -> ca.Function:
     """
 
     def build() -> ca.Function:
-        x = ca.MX.sym("x", model.nx)
+        x = symbol_kind(model.ode).sym("x", model.nx)
         rows = model.constraints(x)
         q, v, *_ = model.split(x)
         lengths = ca.DM(model.mechanism.lengths)
