@@ -188,9 +188,8 @@ def _turn_nodes(
             continue
         turned = quintic.between(np.zeros(()), np.ones(()), *(np.array(share) for share in shares))
         rotations = Rotation.from_rotvec(turned[:, None] * turn)
-        path = zip(rotations, inner if bars is None else bars, strict=True)
-        moved = [rotation.apply(nodes) for rotation, nodes in path]
-        yield np.asarray(np.array(moved) + center[:, None])
+        moved = (inner if bars is None else bars) @ rotations.as_matrix().transpose(0, 2, 1)
+        yield np.asarray(moved + center[:, None])
 
 
 def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
@@ -257,12 +256,10 @@ def _turn_bars(
     differences[np.arange(len(ends)), ends[:, 1]] = 1.0
     stays = weight * np.where(fixed, 1e4, 1.0)[:, None]
     solve = np.linalg.pinv(np.vstack([differences, stays * np.eye(nodes.shape[1])]))
-    moved = []
-    for share, places in zip(change, nodes, strict=True):
-        turned = Rotation.from_rotvec(share * angles[:, None] * axes).apply(b0)
-        bars = turned * (1 + share * (l1 / l0 - 1))
-        moved.append(solve @ np.vstack([bars, stays * places]))
-    return np.asarray(moved)
+    turns = Rotation.from_rotvec((change[:, None, None] * angles[:, None] * axes).reshape(-1, 3))
+    turned = turns.apply(np.tile(b0, (len(change), 1))).reshape(len(change), *b0.shape)
+    bars = turned * (1 + change[:, None, None] * (l1 / l0 - 1))
+    return np.asarray(solve @ np.concatenate([bars, stays * nodes], axis=1))
 
 
 def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
