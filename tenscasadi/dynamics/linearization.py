@@ -112,7 +112,9 @@ class LinearDynamics:
         changes[:, self.pattern.indices[own], row[own] - model.nx] = self.slopes[:, own]
         forces, kept = changes[:, :nq], changes[:, nq:]
         back = self.inverse @ (self.weighted @ forces + kept)
-        free = (self.inverse_mass @ np.hstack(forces)).reshape(nq, len(forces), model.nu)
+        free = (self.inverse_mass @ np.concatenate(list(forces), axis=1)).reshape(
+            nq, len(forces), model.nu
+        )
         return np.asarray(free.transpose(1, 0, 2) - self.weighted.transpose(0, 2, 1) @ back)
 
 
