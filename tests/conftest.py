@@ -51,13 +51,14 @@ def pytest_collection_finish() -> None:
 
 
 def use_quick_compiler(folder: Path) -> None:
-    """Compile at level -O1, which changes no rounding, here and in the processes that tests start."""
+    """Compile at level -Og, which changes no rounding, here and in the processes that tests start."""
     given = os.environ[USERS_COMPILER] = os.environ.get("CC", "")
     if os.name != "posix" or not shutil.which((given or "cc").partition(" ")[0]):
         return
     folder.mkdir(parents=True, exist_ok=True)
     with NamedTemporaryFile("w", dir=folder, delete=False) as file:
-        file.write(f'#!/bin/sh\nexec {given or "cc"} "$@" -O1\n')  # the last level counts
+        # the last option counts
+        file.write(f'#!/bin/sh\nexec {given or "cc"} "$@" -Og -fno-unroll-loops\n')
     os.chmod(file.name, 0o700)
     os.environ["CC"] = shlex.quote(str(Path(file.name).replace(folder / "quick-cc")))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import runpy
 import subprocess
@@ -75,12 +76,15 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+@functools.cache
+def trees() -> dict[str, ast.Module]:
+    """Syntax trees of all modules: one worker of a run needs them."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
 
 def imported(module: str) -> Iterator[tuple[str, ast.stmt]]:
     """(module of the two packages, statement) of each import of a module."""
-    for node in ast.walk(TREES[module]):
+    for node in ast.walk(trees()[module]):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -97,7 +101,7 @@ def imported(module: str) -> Iterator[tuple[str, ast.stmt]]:
 
 def at_top(module: str, node: ast.stmt) -> bool:
     """Return whether a statement runs where the module is loaded."""
-    return node in TREES[module].body
+    return node in trees()[module].body
 
 
 def late_imports() -> list[str]:
@@ -105,7 +109,7 @@ def late_imports() -> list[str]:
     return sorted(
         {
             f"{name}.{function.name}: {ast.unparse(node)}"
-            for name, tree in TREES.items()
+            for name, tree in trees().items()
             for function in ast.walk(tree)
             if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef))
             for node in ast.walk(function)
@@ -219,7 +223,7 @@ def test_packages_only_re_export():
         f"{module} holds more than imports: {ast.unparse(node)[:80]}"
         for module, path in MODULES.items()
         if path.name == "__init__.py"
-        for node in TREES[module].body
+        for node in trees()[module].body
         if not isinstance(node, kinds) and not ast.unparse(node).startswith(lazy)
     ]
     assert not faults, "\n".join(faults)
@@ -228,7 +232,7 @@ def test_packages_only_re_export():
 def test_drawing_libraries_are_imported_in_their_rooms():
     faults = [
         f"{module} imports {name}: only tenscasadi.{room} may"
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, (ast.Import, ast.ImportFrom))
         for name in (

@@ -224,8 +224,10 @@ def _load(
         code.write_text(source, encoding="utf-8")
         # on Windows all code is relocatable, and the C library has the mathematics
         position, libraries = ([], []) if sys.platform == "win32" else (["-fPIC"], ["-lm"])
+        # the same code; GNU's headers of later standards take 0.1 s longer
+        standard = ["-std=gnu++14"] if suffix == ".cpp" else []
         files = ["-shared", "-o", str(result), str(code), *libraries]
-        run_compiler([*compiler, *options, *position, *files], result.parent)
+        run_compiler([*compiler, *options, *standard, *position, *files], result.parent)
 
     try:
         return load_library(library, key, build, load)
