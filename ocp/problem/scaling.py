@@ -89,6 +89,15 @@ class Scales:
         }
 
 
+def typical_mass(model: Model) -> float:
+    """Compute the geometric mean of the masses that resist motions along the axes [kg].
+
+    One node that is far heavier or lighter than the others hardly changes it.
+    """
+    own = model.mechanism.free_mass.diagonal()
+    return float(np.exp(np.mean(np.log(own[own > 0])))) if (own > 0).any() else 1.0
+
+
 def control_scale(problem: Problem, strength: float) -> Array:
     """Compute the scale (nu,) of control changes.
 

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from ocp.problem.goals.goal import Goal
 from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION, Rows, goal_rows
-from ocp.problem.scaling import Scales
+from ocp.problem.scaling import Scales, typical_mass
 from ocp.targets.certificate import prove_infeasible, read_quadratic
 from ocp.targets.distance_rows import find_distance_rows, list_neighbors, squared_distances
 from ocp.targets.free_start import find_free_start
@@ -380,7 +380,7 @@ def _metric(model: Model) -> Array:
     """
     mass = model.mechanism.free_mass.toarray()
     own = np.diag(mass)
-    mass = mass / (np.exp(np.mean(np.log(own[own > 0]))) if (own > 0).any() else 1.0)
+    mass = mass / typical_mass(model)
     mass += np.diag((own == 0).astype(float))
     if np.diag(mass).max() > MASS_RATIO or np.diag(mass).min() < 1 / MASS_RATIO:
         values, vectors = np.linalg.eigh(mass)

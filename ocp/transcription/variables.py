@@ -11,7 +11,7 @@ import numpy as np
 from ocp.problem.control import control_name
 from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
-from ocp.problem.scaling import Scales, control_scale, typical_cost
+from ocp.problem.scaling import Scales, control_scale, typical_cost, typical_mass
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, Profile, group_matrix, on_mesh, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns
@@ -169,7 +169,7 @@ class Variables:
         self.scales = scales
         self.model, self.count = problem.model, len(fractions)
         self.strength = _estimate_strength(
-            scales,
+            self.model.nq / 3 * typical_mass(self.model) / scales.time**2,
             forces_of(self.model, (guess.states[:-1] + guess.states[1:]) / 2, guess.force_density),
         )
         self.objective = typical_cost(
@@ -327,9 +327,9 @@ def name_intervals(count: int, rows: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"dynamics of interval {k}, {name}" for k in range(count) for name in rows)
 
 
-def _estimate_strength(scales: Scales, force_density: Array) -> float:
+def _estimate_strength(least: float, force_density: Array) -> float:
     """Estimate a typical force density [N/m].
 
-    It is the root mean square of the guess `force_density`, at least the scale of mass / time².
+    It is the root mean square of the guess `force_density`, at least `least`.
     """
-    return max(float(np.sqrt(np.mean(force_density**2))), scales.mass / scales.time**2)
+    return max(float(np.sqrt(np.mean(force_density**2))), least)

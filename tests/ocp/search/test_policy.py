@@ -254,3 +254,34 @@ def test_many_bars_take_more_intervals():
         np.repeat(problem.initial_state[None], 5, axis=0), np.full((4, problem.model.nu), 1e-3), 1.0
     )
     assert choose_intervals(problem, guess) == 36
+
+
+def test_a_node_a_million_times_heavier_moves_as_a_pinned_one():
+    """The scale of forces is that of the light bars, which move."""
+    low = tc.shapes.prism(bar_mass=1e-3)
+    wide = (0.25 - (1.08**2 - 1.0) / (2 * np.sin(np.radians(75))) ** 2) ** 0.5
+    high = tc.shapes.prism(radius=wide, height=1.08)
+    pinned, loaded = (
+        ocp.solve(
+            ocp.Problem(
+                driven(low.replace(**fixed)),
+                goals=[ocp.StringLengths(high.string_lengths), ocp.AtRest()],
+                bounds=[ocp.ForceDensityLimits(1e-3, 10.0)],
+                costs=[ocp.Effort()],
+            ),
+            time_limit=60.0,
+        )
+        for fixed in ({"pinned": [3]}, {"node_mass": [0, 0, 0, 1e3, 0, 0]})
+    )
+    assert pinned.success, pinned.message
+    assert loaded.success, loaded.message
+    assert loaded.objective == pytest.approx(pinned.objective, rel=1e-3)
+
+
+@pytest.mark.parametrize("build", [raising, tall])
+def test_every_method_is_repeated_on_a_finer_mesh(build):
+    """An optimum that its replay misses is refined by the method that found it."""
+    rows = list(attempts(prepare(build(), ocp.PiecewiseConstant(), 1e-2), None))
+    for row, finer in zip(rows[::2], rows[1::2], strict=True):
+        assert row.after != "inexact" == finer.after
+        assert finer[:2] == row[:2]
