@@ -52,10 +52,10 @@ def rebounds(height: np.ndarray) -> np.ndarray:
     return local[height[local] > 0.6]
 
 
-def main(folder: Path = Path(), quick: bool = False) -> list[float]:
-    """Prints the table, saves the pictures and returns the rebound heights face down, m. `quick`: the first two only."""
+def main(folder: Path = Path()) -> list[float]:
+    """Prints the table, saves the pictures and returns the rebound heights face down, m."""
     folder.mkdir(parents=True, exist_ok=True)
-    trajectory, height = drop(ball(), 2.9 if quick else T_END)
+    trajectory, height = drop(ball(), T_END)
     tops = rebounds(height)[: len(EXPECTED)]
     heights = [float(height[k]) for k in tops]
     print(
@@ -73,7 +73,7 @@ def main(folder: Path = Path(), quick: bool = False) -> list[float]:
     print(
         f"here:  energy never grows by more than {max(gained, 0.0):.0e} J from row to row; bar lengths within {trajectory.bar_length_error.max():.0e}"
     )
-    edge, edge_height = drop(ball((0.0, 0.0, 1.0)), 2.0 if quick else T_END)
+    edge, edge_height = drop(ball((0.0, 0.0, 1.0)), T_END)
     print(
         f"on a pair of nodes it rebounds to {edge_height[rebounds(edge_height)[0]]:.3f} m first: how it lands decides"
     )

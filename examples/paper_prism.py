@@ -50,10 +50,10 @@ def distance(trajectory: tc.Trajectory, reference: tc.Trajectory) -> float:
     return float(np.linalg.norm(trajectory.nodes[:, 0] - theirs) / np.linalg.norm(theirs))
 
 
-def main(folder: Path = Path(), quick: bool = False) -> dict[tuple[Ends, int], float]:
-    """Prints the table, saves the pictures, and returns the relative error of node 1 by (ends, segments). `quick`: fewer divisions."""
+def main(folder: Path = Path()) -> dict[tuple[Ends, int], float]:
+    """Prints the table, saves the pictures, and returns the relative error of node 1 by (ends, segments)."""
     folder.mkdir(parents=True, exist_ok=True)
-    divisions = (1, 3, 5, MOST - 1) if quick else tuple(range(1, MOST))
+    divisions = range(1, MOST)
     runs = {(ends, n): run(n, ends) for ends in ENDS for n in (*divisions, MOST)}
     errors = {
         (ends, n): distance(runs[ends, n], runs[ends, MOST]) for ends in ENDS for n in divisions

@@ -1,10 +1,9 @@
-"""The paper's four examples (Sect. 7): what makes their figures right, and with -m slow all of their figures."""
+"""The paper's four examples (Sect. 7): what makes their figures right; tests/test_examples.py draws all of them."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -51,18 +50,6 @@ def test_mass_on_the_ends_too_makes_segments_converge_faster(example: ModuleType
     assert errors["lumped"][1] < 0.8 * errors["interior"][1]
 
 
-@pytest.mark.slow
-@of("paper_prism")
-def test_prism_figures(example: ModuleType, tmp_path: Path) -> None:
-    errors = example.main(tmp_path)
-    assert errors["interior", 9] == pytest.approx(0.0068, abs=5e-5)
-    assert errors["lumped", 9] == pytest.approx(0.0009, abs=5e-6)
-    lumped = [errors["lumped", n] for n in range(1, 10)]
-    assert lumped == sorted(lumped, reverse=True)
-    assert all(errors["lumped", n] < errors["interior", n] for n in range(1, 10))
-    assert len(list(tmp_path.glob("*.png"))) == 6
-
-
 # --- 7.2 D-bar ---
 
 
@@ -91,19 +78,6 @@ def test_the_dbar_passes_its_folds(example: ModuleType, coordinates: str) -> Non
     assert errors[1] < 0.2 * errors[0]
 
 
-@pytest.mark.slow
-@of("paper_dbar")
-def test_dbar_figures(example: ModuleType, tmp_path: Path) -> None:
-    rows = example.main(tmp_path)
-    kept = rows["projection"]
-    assert kept.end == 5.0
-    assert max(kept.bar_length, kept.joint) < 1e-14
-    assert kept.energy < 1e-4
-    assert kept.position < 1e-4
-    assert rows["Appendix C"].joint > 1e-10  # what the design says of closed loops
-    assert len(list(tmp_path.glob("*.png"))) == 4
-
-
 # --- 7.3 membrane ---
 
 
@@ -130,17 +104,6 @@ def test_the_membrane_rests_at_one_atmosphere_and_its_centre_moves_radially(
     assert np.ptp(middle[-300:, 0]) < 0.5 * np.ptp(middle[:300, 0])  # damped
 
 
-@pytest.mark.slow
-@of("paper_membrane")
-def test_membrane_figures(example: ModuleType, tmp_path: Path) -> None:
-    rows = example.main(tmp_path)
-    for size, peak in example.EXPECTED.items():
-        assert rows[size].peak == pytest.approx(peak, abs=5e-5)
-        assert rows[size].time == pytest.approx(7e-3, abs=5e-4)
-        assert rows[size].axial < 1e-12
-    assert len(list(tmp_path.glob("*.png"))) == 3
-
-
 # --- 7.4 lander ---
 
 
@@ -162,11 +125,3 @@ def test_the_first_rebound_of_the_lander(example: ModuleType) -> None:
     assert height[example.rebounds(height)[0]] == pytest.approx(2.304, abs=6e-4)
     assert np.diff(run.energy).max() < 1e-9
     assert run.bar_length_error.max() < 1e-14
-
-
-@pytest.mark.slow
-@of("paper_lander")
-def test_lander_figures(example: ModuleType, tmp_path: Path) -> None:
-    heights = example.main(tmp_path)
-    np.testing.assert_allclose(heights, [2.304, 1.551, 1.101, 0.827, 0.675], atol=6e-4)
-    assert len(list(tmp_path.glob("*.png"))) == 3

@@ -88,14 +88,14 @@ def test_rollouts_in_float_fill_twice_the_lanes() -> None:
     starts = np.array([project(model.state(nodes, v)).full().ravel() for v in speeds])
     starts[3] = np.nan
 
-    def roll(rows: slice, compiled: tc.Single | None) -> tc.Rollouts:
+    def roll(rows: slice, compiled: tc.Single | bool) -> tc.Rollouts:
         return tc.rollouts(
             model, 0.3, states=starts[rows], correction=tc.Projection(), compiled=compiled
         )
 
     single, double, alone = (
         roll(slice(None), tc.Single()),
-        roll(slice(None), None),
+        roll(slice(None), True),
         roll(slice(8, 9), tc.Single()),
     )
     good = np.arange(20) != 3
