@@ -276,7 +276,14 @@ def _end_times(problem: Problem, stages: list[Stage]) -> list[Block]:
             names = (f"end of phase {k}",)
             blocks.append(
                 Block(
-                    function, durations[None, : k + 1], names, earliest, latest, size, kind="path"
+                    function,
+                    durations[None, : k + 1],
+                    names,
+                    earliest,
+                    latest,
+                    size,
+                    kind="path",
+                    unit="s",
                 )
             )
     return blocks

@@ -139,7 +139,7 @@ class ScaledRows:
     ----------
     function : casadi.Function
         Function from symbols to rows of order one.
-    lower, upper, names, ends
+    lower, upper, names, ends, unit
         As in `PathConstraint`; limits are scaled.
     scale : ndarray, shape (m,)
         Scale of each row, in the unit of its quantity.
@@ -151,6 +151,7 @@ class ScaledRows:
     names: tuple[str, ...]
     ends: tuple[str, ...]
     scale: Array
+    unit: str
 
 
 def scaled_rows(
@@ -183,5 +184,11 @@ def _scale(limited: PathConstraint, scales: Scales, strength: float) -> ScaledRo
         scale = np.where(largest > 0, largest, 1.0)
     function = ca.Function("bound", limited.symbols, [ca.densify(limited.value / ca.DM(scale))])
     return ScaledRows(
-        function, limited.lower / scale, limited.upper / scale, limited.names, limited.ends, scale
+        function,
+        limited.lower / scale,
+        limited.upper / scale,
+        limited.names,
+        limited.ends,
+        scale,
+        limited.unit,
     )

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.bounds.bound import PathBound, RateBound
 from ocp.problem.limit_conflict import LimitCheck
-from ocp.problem.path_constraints import path_constraints
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import UNBOUNDED
 from ocp.results.result import PlanResult
 from ocp.solvers.base import Solution
 from ocp.solvers.ipopt import SADDLE
 from ocp.solvers.monitor import STOPPED, TIME_UP
-from ocp.solvers.relaxation import TOO_SLOW, find_rate_rows, measure_relaxation
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, hermite_state, locate_share
 from ocp.transcription.sparse_nlp import Program
@@ -100,7 +97,6 @@ def explain_failure(
         _STOPS.get(solution.status)
         or _find_undefined(program, solution, f, g)
         or _find_overdetermined(target, program)
-        or _explain_rates(program, solution, violation, too_long)
         or _find_runaway(program, solution)
         or too_long
         or _CAUSES.get(solution.status)
@@ -112,7 +108,7 @@ def explain_failure(
     worst = int(np.argmax(violation))
     if violation[worst] > TOLERANCE:
         name, amount = program.names[worst], violation[worst]
-        unit = list_units(problem).get(name.split(",")[0])
+        unit = program.units[worst]
         scaled = f"{amount:.2g} of its scale"
         text = f"{name}, by " + (
             scaled if unit is None else f"{amount * program.scale[worst]:.2g} {unit}".rstrip()
@@ -165,38 +161,6 @@ def _find_overdetermined(target: Target, program: Program) -> str:
         if before < part.count:
             return f"{label}{part.count} rows of goals need more than {before} controls before them: give more intervals"
     return ""
-
-
-def _explain_rates(program: Program, solution: Solution, violation: Array, too_long: str) -> str:
-    """Explain how much larger rate limits would permit a solution.
-
-    `violation` (m,) are the violations of all constraints. `too_long` is the message about long
-    steps, or "". Returns "" if the rate limits are not the cause of the failure.
-    """
-    if solution.status != TOO_SLOW:
-        return ""
-    rates = find_rate_rows(program)
-    name = program.names[rates[np.argmax(violation[rates])]].split(",")[0]
-    times = 1 + measure_relaxation(program, solution.w)
-    text = (
-        f"limits of rates are too narrow: allow a faster {name}, or a longer duration; with limits "
-        f"of rates {times:.3g} times as wide this mesh has a solution, which is this plan"
-    )
-    return f"{text}, but {too_long}" if too_long else text
-
-
-def list_units(problem: Problem) -> Mapping[str, str]:
-    """List the units of all limited quantities by name.
-
-    User-defined constraints have the unit "".
-    """
-    kinds = (PathBound, RateBound)
-    return {
-        name: one.unit
-        for kind in kinds
-        for one in path_constraints(problem, kind)
-        for name in one.names
-    }
 
 
 def find_long_steps(model: Model, states: Array, gamma: Array, step: float, duration: float) -> str:

@@ -27,7 +27,6 @@ from ocp.search.replays import replay_plan
 from ocp.search.task import Method, PlanningTask, prepare
 from ocp.solvers.base import Outcome
 from ocp.solvers.monitor import REPLAYING, Monitor
-from ocp.solvers.relaxation import TOO_SLOW
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.targets.target import StateAt, Target
@@ -152,7 +151,7 @@ def _walk(
         plan = replace(plan, iterations=spent + plan.iterations)
         search = search._replace(task=search.task._replace(target=target))
         tried.append((attempt.describe(), plan))
-        if plan.success or plan.status == TOO_SLOW or search.task.monitor.status():
+        if plan.success or search.task.monitor.status():
             break
     if not tried:
         raise ValueError("no method supports the problem: give a transcription and a solver")
@@ -175,13 +174,13 @@ def _walk(
 def _explain(task: PlanningTask, plan: PlanResult) -> str:
     """Complete the message of a failed plan.
 
-    Names of members are added, and the limits that are too narrow.
+    Names of members are added. Limits that are too narrow come first, as they are the cause.
     """
     text = add_names(plan.message, task.problem.model.scene.structure)
     if plan.duals is not None or task.monitor.status():
         return text
     limits = explain_limits(task)
-    return f"{text}; {limits}" if limits else text
+    return text.replace("no plan: ", f"no plan: {limits}; ", 1) if limits else text
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:

@@ -34,7 +34,6 @@ from ocp.solvers.early_stop import stop_early
 from ocp.solvers.ipopt import Ipopt
 from ocp.solvers.monitor import Monitor
 from ocp.solvers.multipliers import name_duals, warm_start_program
-from ocp.solvers.relaxation import find_rate_relaxation
 from ocp.targets.target import Target
 from ocp.transcription.assemble import build_program
 from ocp.transcription.base import Transcription
@@ -224,20 +223,15 @@ def _run_solver(
     program: Program,
     monitor: Monitor,
 ) -> Corrected:
-    """Solve the nonlinear program, then correct or relax it.
+    """Solve the nonlinear program, then correct it.
 
-    Deferred correction increases the accuracy. Rate limits are relaxed if they are infeasible.
+    Deferred correction increases the accuracy.
     """
     accuracy = transcription.accuracy
-    if accuracy is not None:
-        measure = transcription.measure_residual(program, problem.model)
-        found = solve_corrected(program, solver, measure, accuracy, monitor)
-    else:
-        found = Corrected(solver.solve(program, monitor), None, 0.0)
-    if isinstance(solver, Ipopt):
-        relaxed = find_rate_relaxation(program, solver, found.solution, monitor)
-        found = found if relaxed is None else Corrected(relaxed, None, 0.0)
-    return found
+    if accuracy is None:
+        return Corrected(solver.solve(program, monitor), None, 0.0)
+    measure = transcription.measure_residual(program, problem.model)
+    return solve_corrected(program, solver, measure, accuracy, monitor)
 
 
 def _read_outcome(

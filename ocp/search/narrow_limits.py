@@ -5,20 +5,24 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 
-import numpy as np
-
 from ocp.guess.initial_guess import NOISE, InverseDynamics, evaluate_guess
-from ocp.problem.control import control_name, control_unit
+from ocp.phases.method import link_problem
+from ocp.problem.control import control_unit
 from ocp.problem.costs import Duration
-from ocp.results.diagnosis import list_units
-from ocp.search.policy import MIN_INTERVALS
+from ocp.problem.goals.waypoints import Waypoint
+from ocp.problem.problem import Problem
+from ocp.search.policy import (
+    MIN_INTERVALS,
+    PHASE_INTERVALS,
+    build_force_density_task,
+    is_near_ground,
+)
 from ocp.search.task import PlanningTask, prepare
 from ocp.solvers.ipopt import NOWHERE, Ipopt
 from ocp.solvers.relaxation import WiderLimit, relax_limits, solve_relaxed
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
-from ocp.targets.target import Target
 from ocp.transcription.assemble import build_program
-from ocp.transcription.multiple_shooting import MultipleShooting
+from ocp.transcription.direct_collocation import DirectCollocation
 from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variational import Variational
 from tenscasadi.structure.names import find_named
@@ -32,74 +36,102 @@ def explain_limits(task: PlanningTask) -> str:
     "" if limits are not the cause, or the cause is unknown. The relaxed program has its own local
     solution, so that a smaller relaxation may exist.
     """
-    target = task.target
-    if target is None or not target.met or task.problem.model.scene.grounds:
-        return ""
     task.monitor.phase = "limits that are too narrow"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TargetNotFoundWarning)
-        return task.monitor.run(lambda: _explain(task, target), lambda: "")
+        return task.monitor.run(lambda: _explain(task), lambda: "")
 
 
-def _explain(task: PlanningTask, target: Target) -> str:
-    problem = task.problem
+def _explain(task: PlanningTask) -> str:
     # searched no longer than the plan, but for short searches
-    limit = max(1.0, task.monitor.elapsed)
-    solver = Ipopt(time_limit=limit)
-    program = _build(task, target)
-    relaxed = relax_limits(program, ("path", "rate"), controls=True)
+    solver = Ipopt(time_limit=max(10.0, task.monitor.elapsed))
+    problem = task.problem
+    if not problem.model.has_coupled_rates:  # motors have limits of their own
+        task = build_force_density_task(task) or task
+    program = _build(task)
+    if program is None:
+        return ""
+    relaxed = relax_limits(program, ("path", "rate"), control_unit(task.problem.model))
     found = solve_relaxed(relaxed, solver, task.monitor)
     wider = relaxed.list_wider(found.w[: len(program.first)]) if found.success else []
     if not wider:
         return ""
-    units = {**list_units(problem), control_name(problem.model): control_unit(problem.model)}
-    needed = " and ".join(_describe(one, units, problem.model.scene.structure) for one in wider)
-    longest = 3 * problem.longest  # a longer one would be another problem
-    duration = _find_duration(task, longest, solver)
-    longer = "" if duration is None else f", or a duration of {duration:.3g} s"
-    if duration == np.inf:
-        longer = f"; no duration up to {longest:.3g} s was found to help"
-    return f"limits are too narrow: on a mesh of {MIN_INTERVALS} intervals there is a motion with {needed}{longer}"
+    needed = " and ".join(_describe(one, problem.model.scene.structure) for one in wider)
+    longer = _explain_duration(task, solver)
+    count = (
+        f"{PHASE_INTERVALS} intervals a phase" if problem.phases else f"{MIN_INTERVALS} intervals"
+    )
+    return f"limits are too narrow: on a mesh of {count} there is a motion with {needed}{longer}"
 
 
-def _describe(one: WiderLimit, units: dict[str, str], structure: Structure) -> str:
-    unit = units.get(one.name, units.get(one.name.split(" of ")[0], ""))
-    value = f"{one.needed:.4g} {unit}".rstrip()
+def _describe(one: WiderLimit, structure: Structure) -> str:
+    value = f"{one.needed:.4g} {one.unit}".rstrip()
     member = "".join(f" ({name})" for name in find_named(one.name, structure).values())
     way = "down" if one.side == "lower" else "up"
     return f"{one.name}{member} {way} to {value} (limit {one.limit:.4g})"
 
 
-def _find_duration(task: PlanningTask, longest: float, solver: Ipopt) -> float | None:
-    """Find the shortest duration [s] that satisfies the limits.
+def _explain_duration(task: PlanningTask, solver: Ipopt) -> str:
+    """Explain whether a longer duration satisfies the limits.
 
-    It is inf if there is no such duration up to `longest`, and None if the search is impossible or
-    not completed.
+    `solver` searches for the shortest one. Returns "" if the search is impossible or not completed.
     """
-    problem = task.problem
-    if task.monitor.status() or problem.waypoints:
-        return None
-    free = replace(problem, duration=(problem.shortest, longest), costs=[Duration()])
+    if task.monitor.status():
+        return ""
     try:
-        longer = prepare(free, Variational(MIN_INTERVALS).control, task.tolerance, task.monitor)
-        if longer.target is None:
-            return None
-        program = _build(longer, longer.target)
+        free = _free_durations(task.problem)
+        control = Variational(MIN_INTERVALS).control
+        program = _build(prepare(free, control, task.tolerance, task.monitor))
     except (InfeasibleGoalError, ValueError):  # such as of costs that a free duration excludes
-        return None
+        return ""
+    if program is None:
+        return ""
     found = solver.solve(program, task.monitor)
     if found.success:
-        return float(program.unpack(found.w)[2])
-    return np.inf if found.status in NOWHERE else None
+        durations = program.unpack(found.w)[2].full().ravel()
+        if len(durations) == 1:
+            return f", or a duration of {durations[0]:.3g} s"
+        return f", or phases of {', '.join(f'{one:.3g}' for one in durations)} s"
+    longest = free.longest
+    return (
+        f"; no duration up to {longest:.3g} s was found to help" if found.status in NOWHERE else ""
+    )
 
 
-def _build(task: PlanningTask, target: Target) -> Program:
+def _free_durations(problem: Problem) -> Problem:
+    """Build the problem of the shortest duration.
+
+    Durations are up to three times as long. Longer ones would be another problem. Waypoints keep
+    their fractions of the duration.
+    """
+    if problem.phases:
+        phases = [
+            replace(phase, duration=(phase.shortest, 3 * phase.longest), end_time=None)
+            for phase in problem.phases
+        ]
+        return replace(problem, duration=1.0, phases=phases, costs=[Duration()])
+    span = problem.shortest, problem.longest
+    goals = [
+        replace(goal, time=None, share=goal.at(*span)) if isinstance(goal, Waypoint) else goal
+        for goal in problem.goals
+    ]
+    return replace(problem, duration=(span[0], 3 * span[1]), goals=goals, costs=[Duration()])
+
+
+def _build(task: PlanningTask) -> Program | None:
     """Build a coarse nonlinear program from the default guess.
 
-    `target` has the final state and the goal rows.
+    Returns None if the goals have no target state, or if derivatives through contact with a ground
+    mislead the solver.
     """
-    problem = task.problem
-    shape = MultipleShooting if problem.model.has_coupled_rates else Variational
+    problem, target = task.problem, task.target
+    if problem.phases:
+        return link_problem(problem, Variational(PHASE_INTERVALS)).program
+    if target is None or not target.met:
+        return None
+    shape = DirectCollocation if problem.model.has_coupled_rates else Variational
     guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)
+    if problem.model.scene.grounds and is_near_ground(problem, guess):
+        return None
     guess = guess.perturb(*problem.control_limits)
     return build_program(shape(MIN_INTERVALS), problem, target, task.scales, guess)

@@ -80,11 +80,12 @@ class Monitor:
         self.began = time.perf_counter()
         self.deadline = math.inf if time_limit is None else self.began + time_limit
         self._delay = max(DELAY, RELATIVE_DELAY * (time_limit or 0.0))
-        self.interrupted, self.phase = False, ""
+        self.interrupted, self.phase = False, "final state"
         self._show, self._next_line = show, self.began + 2.0  # s
         self._watch, self._catches = watch, False
         self._thread = current_thread()
         self._worker: Worker | None = None
+        self._latest: Progress | None = None
 
     def limit(self, time_limit: float | None) -> Monitor:
         """Build the monitor of a part of the search.
@@ -134,9 +135,10 @@ class Monitor:
         """
 
         def is_late() -> bool:
+            self._show_line()
             return bool(self.status()) and -self.left > share * self._delay
 
-        self._worker = Worker(work)
+        self._latest, self._worker = None, Worker(work)
         return self._worker.wait(is_late, otherwise)
 
     def ask(self, call: Callable[[], Result]) -> Result:
@@ -157,20 +159,31 @@ class Monitor:
         worker = self._worker
         if iterate is not None and worker is not None and worker.is_here:
             worker.iterate = now.iteration, iterate
-        clock = time.perf_counter()
-        if self._show is not None and clock >= self._next_line:
-            self._next_line = clock + 0.5
-            left = "" if math.isinf(self.deadline) else f", {max(self.left, 0.0):.0f} s left"
-            line = (
-                f"{self.phase}: iteration {now.iteration}, violation {now.infeasibility:.1e}, "
-                f"objective {now.objective:.5g}, {self.elapsed:.0f} s{left}"
-            )
-            show = self._show
-            self.ask(lambda: show(line))
+        self._latest = now
+        if current_thread() is self._thread:  # else that thread shows the lines while it waits
+            self._show_line()
         watch = self._watch
         if watch is not None and self.ask(lambda: watch(now)) is False:
             self.stop()
         return self.status()
+
+    def _show_line(self) -> None:
+        """Show a line of progress if the last one is old.
+
+        Before the first iteration, it has the phase and the time only.
+        """
+        clock = time.perf_counter()
+        if self._show is None or clock < self._next_line:
+            return
+        self._next_line, now = clock + 0.5, self._latest
+        line = f"{self.phase}: "
+        if now is not None:
+            line += (
+                f"iteration {now.iteration}, violation {now.infeasibility:.1e}, "
+                f"objective {now.objective:.5g}, "
+            )
+        left = "" if math.isinf(self.deadline) else f", {max(self.left, 0.0):.0f} s left"
+        self._show(f"{line}{self.elapsed:.0f} s{left}")
 
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:

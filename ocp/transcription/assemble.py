@@ -284,7 +284,16 @@ def _build_bound(v: Variables, rows: ScaledRows, end: str) -> Block:
     index = np.hstack([v.states[at_end], v.interval_controls, v.repeat(v.duration), v.time[at_end]])
     side = "start" if begins else "end"
     names = tuple(f"{name}, {side} of interval {k}" for k in range(v.count) for name in rows.names)
-    block = Block(function, index, names, rows.lower, rows.upper, rows.scale, kind="path")
+    block = Block(
+        function,
+        index,
+        names,
+        rows.lower,
+        rows.upper,
+        rows.scale,
+        kind="path",
+        unit=rows.unit,
+    )
     instance = {"first": 0, "last": v.count - 1}.get(end)
     return block if instance is None else _select(instance, block, len(rows.names))
 
@@ -321,6 +330,7 @@ def _build_rate_bound(v: Variables, rows: ScaledRows) -> Block:
         rows.upper,
         rows.scale,
         kind="rate",
+        unit=rows.unit,
     )
 
 

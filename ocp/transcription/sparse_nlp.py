@@ -20,7 +20,17 @@ from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.validate import Array, Booleans, Indices
 
 Kind = Literal[
-    "start", "stage", "defect", "path", "rate", "waypoint", "end", "dependent", "periodic", "cost"
+    "start",
+    "stage",
+    "defect",
+    "path",
+    "rate",
+    "contact",
+    "waypoint",
+    "end",
+    "dependent",
+    "periodic",
+    "cost",
 ]  # origin of the rows of a block
 
 
@@ -84,6 +94,8 @@ class Block:
         Dense matrix that multiplies the rows of the function.
     kind : str
         Kind of constraint, by which `Program.rows` finds them.
+    unit : str, optional
+        Unit of the limited quantity; None if the rows are scaled residuals.
     """
 
     function: ca.Function
@@ -94,6 +106,7 @@ class Block:
     scale: Any = 1.0
     combination: Array | None = None
     kind: Kind = "defect"
+    unit: str | None = None
 
     @property
     def count(self) -> int:
@@ -289,6 +302,11 @@ class Program:
     def names(self) -> tuple[str, ...]:
         """Names of the rows of g."""
         return tuple(name for block in self.parts.rows for name in block.names)
+
+    @property
+    def units(self) -> tuple[str | None, ...]:
+        """Units of the rows of g; None for scaled residuals."""
+        return tuple(block.unit for block in self.parts.rows for _ in block.names)
 
     @property
     def w_names(self) -> tuple[str, ...]:

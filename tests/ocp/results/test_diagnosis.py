@@ -54,9 +54,9 @@ FAILED = {
     "a slow motor": (
         lambda: asked(ocp.RestLengthRateLimits(0.01)),
         (
-            "limits of rates are too narrow",
-            "allow a faster rest length rate of string",
-            "longer duration",
+            "limits are too narrow",
+            "rest length rate of string",
+            "or a duration of",
         ),
     ),
     "too few iterations": (lambda: asked(), ("increase max_iterations", "largest violation")),

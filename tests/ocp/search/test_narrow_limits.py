@@ -82,7 +82,7 @@ def test_message_says_that_more_time_does_not_help():
 def test_lower_limits_do_not_change_their_sign():
     """Strings that push would be no cure."""
     program = program_of(leaning(ocp.ForceDensityLimits(1.4, 1.5)), ocp.Variational(8))
-    relaxed = relax_limits(program, (), controls=True)
+    relaxed = relax_limits(program, (), "N/m")
     assert sorted(relaxed.program.w_upper[len(program.first) :]) == [0.0, 1.0, np.inf]
 
 

@@ -10,7 +10,7 @@ from planning import leaning_arm, raising
 
 import ocp
 from ocp.search.methods import program_of
-from ocp.solvers.relaxation import TOO_SLOW, measure_relaxation, relax_limits
+from ocp.solvers.relaxation import relax_limits, solve_relaxed
 
 
 def leaning(rate):
@@ -46,20 +46,14 @@ def test_what_is_told_suffices(problem):
     slow = 0.03
     none = ocp.solve(problem(slow))
     assert not none.success
-    assert none.status == TOO_SLOW
     told = re.search(
-        r"allow a faster [a-z ]+ of string \d, or a longer duration; with limits of rates ([\d.e+]+) times as wide this mesh has",
+        r"no plan: limits are too narrow: .* there is a motion with [a-z ]+ rate of string \d up to ([\d.e+-]+) N?m?/",
         none.message,
     )
     assert told is not None, none.message
-    times = float(told[1])
-    assert times > 1.1
-    assert "Variational" in none.message
-    assert "MultipleShooting" not in none.message  # nothing else is tried
-    assert none.replay_error < 0.02  # it is a way to the goals
-    if problem is leaning:
-        assert fastest(none) == pytest.approx(times * slow, rel=1e-2)
-        assert ocp.solve(problem(1.1 * times * slow)).success
+    needed = float(told[1])
+    assert needed > 1.1 * slow
+    assert ocp.solve(problem(1.05 * needed)).success
 
 
 def test_wide_limits_need_nothing():
@@ -68,23 +62,51 @@ def test_wide_limits_need_nothing():
     assert fastest(plan) < 1e4
 
 
-def test_the_program_of_the_share():
-    """Its rows hold at a point if, and only if, rates are within limits that are wider by the share there."""
+def test_relaxed_rows_hold_from_the_needed_relaxation_on():
     program = program_of(winding(0.05), ocp.Variational(6))
     relaxed = relax_limits(program, ["rate"])
     wider = relaxed.program
     rng = np.random.default_rng(0)
     w = program.first + 0.01 * rng.normal(size=len(program.first))
-    share = measure_relaxation(program, w)
-    shares = np.isfinite(wider.w_lower[len(w) :]) * 1.0
+    needed = relaxed.measure(w)
     rates = np.concatenate([np.arange(rows.start, rows.stop) for rows in wider.rows("rate")])
     broken = []
     for factor in (0.99, 1.01):
         g = (
-            wider.derivatives()["nlp_jac_g"](np.append(w, factor * share * shares), [])[0]
+            wider.derivatives()["nlp_jac_g"](np.append(w, factor * needed), [])[0]
             .full()
             .ravel()[rates]
         )
         broken.append(bool(np.any(g > wider.upper[rates]) or np.any(g < wider.lower[rates])))
-    assert share > 0
+    assert needed.max() > 0
     assert broken == [True, False]
+
+
+def test_equations_and_signs_are_not_relaxed():
+    """An equation is no limit; strings carry no compression, but nodes may pass a plane."""
+    asked = leaning_arm(1, 0.4)
+    bounds = [
+        ocp.TensionLimits(lower=0.1),
+        ocp.InsideBox(lower=(0.0, None, None), nodes=[1]),
+        ocp.Constraint("height", lambda now: now.nodes[2, 0], lower=0.0, upper=0.0),
+    ]
+    problem = ocp.Problem(asked.model, goals=asked.goals, bounds=bounds, costs=asked.costs)
+    relaxed = relax_limits(program_of(problem, ocp.Variational(4)), ["path"])
+    most = dict(zip(relaxed.program.w_names, relaxed.program.w_upper, strict=True))
+    assert most["relaxation of tension"] == 1.0
+    assert most["relaxation of x"] == np.inf
+    assert "relaxation of height" not in most
+
+
+def test_widest_limits_keep_signs_only():
+    asked = leaning_arm(1, 0.4)
+    bounds = [ocp.ForceDensityLimits(1.0, 1.3), ocp.TensionLimits(1.0, 1.5)]
+    problem = ocp.Problem(asked.model, goals=asked.goals, bounds=bounds, costs=asked.costs)
+    relaxed = relax_limits(program_of(problem, ocp.Variational(4)), ["path"], "N/m")
+    wide = relaxed.widen()
+    for rows in wide.rows("path"):
+        assert not wide.lower[rows].any()
+        assert np.isinf(wide.upper[rows]).all()
+    found = solve_relaxed(relaxed, ocp.Ipopt(), None)
+    assert found.success
+    assert relaxed.measure(found.w[: len(wide.first)]).max() > 0.01
