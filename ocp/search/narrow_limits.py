@@ -23,6 +23,7 @@ from ocp.solvers.relaxation import WiderLimit, relax_limits, solve_relaxed
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning
 from ocp.transcription.assemble import build_program
 from ocp.transcription.direct_collocation import DirectCollocation
+from ocp.transcription.mesh import PiecewiseConstant, PiecewiseLinear, Profile
 from ocp.transcription.sparse_nlp import Program
 from ocp.transcription.variational import Variational
 from tenscasadi.structure.names import find_named
@@ -43,12 +44,15 @@ def explain_limits(task: PlanningTask) -> str:
 
 
 def _explain(task: PlanningTask) -> str:
-    # searched no longer than the plan, but for short searches
-    solver = Ipopt(time_limit=max(10.0, task.monitor.elapsed))
+    # each program is searched no longer than the plan, but for short searches
+    solver = Ipopt(options={"max_cpu_time": max(10.0, task.monitor.elapsed)})
     problem = task.problem
-    if not problem.model.has_coupled_rates:  # motors have limits of their own
-        task = build_force_density_task(task) or task
-    program = _build(task)
+    control: Profile = PiecewiseConstant()
+    # motors have limits of their own
+    twin = None if problem.model.has_coupled_rates else build_force_density_task(task)
+    if twin is not None:
+        task, control = twin, PiecewiseLinear()
+    program = _build(task, control)
     if program is None:
         return ""
     relaxed = relax_limits(program, ("path", "rate"), control_unit(task.problem.model))
@@ -57,7 +61,7 @@ def _explain(task: PlanningTask) -> str:
     if not wider:
         return ""
     needed = " and ".join(_describe(one, problem.model.scene.structure) for one in wider)
-    longer = _explain_duration(task, solver)
+    longer = _explain_duration(task, control, solver)
     count = (
         f"{PHASE_INTERVALS} intervals a phase" if problem.phases else f"{MIN_INTERVALS} intervals"
     )
@@ -71,17 +75,16 @@ def _describe(one: WiderLimit, structure: Structure) -> str:
     return f"{one.name}{member} {way} to {value} (limit {one.limit:.4g})"
 
 
-def _explain_duration(task: PlanningTask, solver: Ipopt) -> str:
+def _explain_duration(task: PlanningTask, control: Profile, solver: Ipopt) -> str:
     """Explain whether a longer duration satisfies the limits.
 
-    `solver` searches for the shortest one. Returns "" if the search is impossible or not completed.
+    `solver` searches for the shortest one, with the profile `control`. Returns "" if the search is impossible or not completed.
     """
     if task.monitor.status():
         return ""
     try:
         free = _free_durations(task.problem)
-        control = Variational(MIN_INTERVALS).control
-        program = _build(prepare(free, control, task.tolerance, task.monitor))
+        program = _build(prepare(free, control, task.tolerance, task.monitor), control)
     except (InfeasibleGoalError, ValueError):  # such as of costs that a free duration excludes
         return ""
     if program is None:
@@ -118,20 +121,21 @@ def _free_durations(problem: Problem) -> Problem:
     return replace(problem, duration=(span[0], 3 * span[1]), goals=goals, costs=[Duration()])
 
 
-def _build(task: PlanningTask) -> Program | None:
+def _build(task: PlanningTask, control: Profile) -> Program | None:
     """Build a coarse nonlinear program from the default guess.
 
-    Returns None if the goals have no target state, or if derivatives through contact with a ground
-    mislead the solver.
+    `control` is the control profile; phases have one of their own. Returns None if the goals have
+    no target state, or if derivatives through contact with a ground mislead the solver.
     """
     problem, target = task.problem, task.target
     if problem.phases:
         return link_problem(problem, Variational(PHASE_INTERVALS)).program
     if target is None or not target.met:
         return None
-    shape = DirectCollocation if problem.model.has_coupled_rates else Variational
     guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)
     if problem.model.scene.grounds and is_near_ground(problem, guess):
         return None
     guess = guess.perturb(*problem.control_limits)
-    return build_program(shape(MIN_INTERVALS), problem, target, task.scales, guess)
+    shape = DirectCollocation if problem.model.has_coupled_rates else Variational
+    transcription = shape(MIN_INTERVALS, control=control)
+    return build_program(transcription, problem, target, task.scales, guess)

@@ -115,7 +115,8 @@ class Relaxation:
                     own = float(limit[k, r] * scale[k, r]), float(value[k, r] * scale[k, r])
                     wider = WiderLimit(name, side, *own, block.unit or "")
                     if lower[k, r] == -upper[k, r]:
-                        wider = WiderLimit(name, "both", *map(abs, own), block.unit or "")
+                        sizes = abs(own[0]), abs(own[1])
+                        wider = WiderLimit(name, "both", *sizes, block.unit or "")
                     if relaxation > max(RESOLUTION, found[number][0] if number in found else 0.0):
                         found[number] = relaxation, wider
         return [wider for _, wider in sorted(found.values(), reverse=True)]
@@ -194,9 +195,20 @@ def relax_limits(
 
 def _replace_parts(program: Program, parts: Separable, lower: Array, upper: Array) -> Program:
     """Build a program with other constraints, cost and bounds on variables."""
-    rows = zip(*(block.limits() for block in parts.rows), strict=True)
-    own = dict(zip(("lower", "upper", "scale"), map(np.concatenate, rows), strict=True))
-    return replace(program, parts=parts, w_lower=lower, w_upper=upper, multipliers=None, **own)
+    low, high, scale = (
+        np.concatenate(limits)
+        for limits in zip(*(block.limits() for block in parts.rows), strict=True)
+    )
+    return replace(
+        program,
+        parts=parts,
+        w_lower=lower,
+        w_upper=upper,
+        lower=low,
+        upper=high,
+        scale=scale,
+        multipliers=None,
+    )
 
 
 def _find_control_limits(program: Program) -> Block | None:

@@ -56,7 +56,6 @@ FAILED = {
         (
             "limits are too narrow",
             "rest length rate of string",
-            "or a duration of",
         ),
     ),
     "too few iterations": (lambda: asked(), ("increase max_iterations", "largest violation")),

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from jumping import flight, jumping, push
 from planning import driven, leaning_arm
 
 import ocp
+import tenscasadi as tc
 from ocp.search.methods import program_of
 from ocp.search.narrow_limits import explain_limits
 from ocp.search.task import prepare
@@ -39,6 +42,85 @@ LIMITS = {
     "acceleration": (lambda most: [WIDE, ocp.NodeAccelerationLimits(most)], 1.0),
     "force density rate": (lambda most: [WIDE, ocp.ForceDensityRateLimits(most)], 0.5),
 }
+
+
+def jump(most):
+    """A prism jumps, with limited force densities."""
+    return jumping(push(), flight(0.2), bounds=[ocp.ForceDensityLimits(0.0, most)])
+
+
+def wind(control, most):
+    """A D-bar folds, whose strings are wound at a limited rate."""
+    cross = tc.shapes.d_bar(pinned=[0], prestress=20.0, stiffness=500.0, damping=2.0)
+    folded = ocp.StringLengths(tc.shapes.d_bar(angle=0.75).string_lengths)
+    return ocp.Problem(
+        tc.Model(tc.Scene(cross, control=control)),
+        0.6,
+        goals=[folded, ocp.AtRest()],
+        bounds=[ocp.RestLengthRateLimits(most), ocp.TensionLimits(upper=100.0)],
+        costs=[ocp.Effort()],
+    )
+
+
+def pass_by(most):
+    """A bar leans over by way of a place at a given time."""
+    place = ocp.Waypoint([ocp.NodePositions({1: (0.4, None, None)})], time=0.5)
+    goals = [place, ocp.NodePositions({1: (0.0, 0.1, None)}), ocp.AtRest()]
+    return replace(leaning(ocp.ForceDensityLimits(1.0, most)), goals=goals)
+
+
+def turn(most):
+    limits = ocp.AngularMomentumLimits((-most, -most, -most), (most, most, most))
+    return leaning(WIDE, limits)
+
+
+def clear(least):
+    return leaning(WIDE, ocp.Obstacle((0.25, 0.06, 0.95), least))
+
+
+def stay(most):
+    """A bar leans over, whose tip is kept behind a plane through its start."""
+    box = ocp.InsideBox(upper=(None, most, None), nodes=[1])
+    place = ocp.Waypoint([ocp.NodePositions({1: (None, 0.1, None)})], time=0.5)
+    goals = [place, ocp.NodePositions({1: (0.1, 0.0, None)}), ocp.AtRest()]
+    return replace(leaning(WIDE, box), goals=goals)
+
+
+# problem of a limit, a value that no plan meets, and the quantity
+ELSEWHERE = {
+    "phases": (jump, 4.0, "force density of string"),
+    "rest lengths": (partial(wind, tc.RestLength()), 0.04, "rest length rate of string"),
+    "rates": (partial(wind, tc.RestLengthRate()), 0.04, "rest length rate of string"),
+    "waypoint": (pass_by, 3.0, "force density of string"),
+    "spin": (turn, 0.02, "angular momentum along y"),
+    "obstacle": (clear, 0.2, "obstacle clear of bar 0 (mast)"),
+    "limit 0": (stay, 0.0, "y of node 1 (tip)"),
+}
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "waypoint",
+        "limit 0",
+        *(
+            pytest.param(k, marks=pytest.mark.slow)
+            for k in ELSEWHERE
+            if k not in ("waypoint", "limit 0")
+        ),
+    ],
+)
+def test_stated_amount_suffices(kind):
+    build, limit, quantity = ELSEWHERE[kind]
+    plan = ocp.solve(build(limit))
+    assert not plan.success
+    text = plan.message
+    assert text.startswith("no plan: limits are too narrow: "), text
+    found = re.search(f"motion with {re.escape(quantity)}[^;]*? (up|down) to ([\\d.e+-]+)", text)
+    assert found is not None, text
+    needed = float(found[2])
+    assert (needed > limit) == (found[1] == "up")
+    assert ocp.solve(build(needed + 0.03 * abs(needed) * np.sign(needed - limit))).success
 
 
 def find_needed(plan):
