@@ -88,7 +88,7 @@ def stay(most):
 
 # problem of a limit, a value that no plan meets, and the quantity
 ELSEWHERE = {
-    "phases": (jump, 4.0, "force density of string"),
+    "phases": (jump, 2.0, "force density of string"),
     "rest lengths": (partial(wind, tc.RestLength()), 0.04, "rest length rate of string"),
     "rates": (partial(wind, tc.RestLengthRate()), 0.04, "rest length rate of string"),
     "waypoint": (pass_by, 3.0, "force density of string"),
