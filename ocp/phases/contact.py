@@ -47,7 +47,7 @@ def cone_blocks(v: Variables, contact: ContactSet, ground: Surface, least: float
         )
         if names:
             function, index = _scaled(cone, size), index.reshape(-1, 6)
-            blocks.append(Block(function, index, names, 0.0, np.inf, size, kind="contact"))
+            blocks.append(Block(function, index, names, 0.0, np.inf, size, kind="path"))
     return blocks
 
 
@@ -82,9 +82,7 @@ def height_blocks(
             if pairs:
                 index = np.stack([v.states[k][coordinates[node]] for k, node in pairs])
                 names = tuple(text.format(node, k) for k, node in pairs)
-                blocks.append(
-                    Block(height, index, names, 0.0, upper, size, kind="contact", unit="m")
-                )
+                blocks.append(Block(height, index, names, 0.0, upper, size, kind="path"))
     return blocks
 
 

@@ -108,7 +108,7 @@ def explain_failure(
     worst = int(np.argmax(violation))
     if violation[worst] > TOLERANCE:
         name, amount = program.names[worst], violation[worst]
-        unit = program.units[worst]
+        unit = [block.unit for block in program.parts.rows for _ in block.names][worst]
         scaled = f"{amount:.2g} of its scale"
         text = f"{name}, by " + (
             scaled if unit is None else f"{amount * program.scale[worst]:.2g} {unit}".rstrip()

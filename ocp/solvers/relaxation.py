@@ -158,13 +158,15 @@ def relax_limits(
 ) -> Relaxation:
     """Relax the limits of constraints of the given kinds.
 
-    With `control_unit`, the unit of the controls, their limits are relaxed, too. Equal limits of
-    one quantity share one relaxation variable, as do lower and upper limits of equal size.
-    Equations are not relaxed. Strings stay in tension, and rest lengths positive.
+    Contact constraints have no unit, and are not relaxed. With `control_unit`, the unit of the
+    controls, their limits are relaxed, too. Equal limits of one quantity share one relaxation
+    variable, as do lower and upper limits of equal size. Equations are not relaxed. Strings stay
+    in tension, and rest lengths positive.
     """
     n, known = len(program.first), program.parts.unknowns
-    given = [block for block in program.parts.rows if block.kind in kinds]
-    kept = [block for block in program.parts.rows if block.kind not in kinds]
+    every = program.parts.rows
+    given = [block for block in every if block.kind in kinds and block.unit is not None]
+    kept = [block for block in every if block not in given]
     w_lower, w_upper = program.w_lower.copy(), program.w_upper.copy()
     own = None if control_unit is None else _find_control_limits(program)
     if own is not None:

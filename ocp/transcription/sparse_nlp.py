@@ -20,17 +20,7 @@ from tenscasadi.util.casadi_tools import symbol_kind
 from tenscasadi.util.validate import Array, Booleans, Indices
 
 Kind = Literal[
-    "start",
-    "stage",
-    "defect",
-    "path",
-    "rate",
-    "contact",
-    "waypoint",
-    "end",
-    "dependent",
-    "periodic",
-    "cost",
+    "start", "stage", "defect", "path", "rate", "waypoint", "end", "dependent", "periodic", "cost"
 ]  # origin of the rows of a block
 
 
@@ -95,7 +85,7 @@ class Block:
     kind : str
         Kind of constraint, by which `Program.rows` finds them.
     unit : str, optional
-        Unit of the limited quantity; None if the rows are scaled residuals.
+        Unit of the limited quantity; None if the rows are no limits of the problem.
     """
 
     function: ca.Function
@@ -151,12 +141,8 @@ class Separable:
     def __init__(
         self, unknowns: Unknowns, rows: Sequence[Block], costs: Sequence[Block], weight: float
     ) -> None:
-        self.unknowns, self.rows, self.costs, self._weight = (
-            unknowns,
-            tuple(rows),
-            tuple(costs),
-            weight,
-        )
+        self.unknowns, self._weight = unknowns, weight
+        self.rows, self.costs = tuple(rows), tuple(costs)
         self.w, self._p = ca.MX.sym("w", unknowns.count), ca.MX.sym("p", 0)
         y = unknowns.entries(self.w)
         self._row_inputs, self._cost_inputs = (
@@ -302,11 +288,6 @@ class Program:
     def names(self) -> tuple[str, ...]:
         """Names of the rows of g."""
         return tuple(name for block in self.parts.rows for name in block.names)
-
-    @property
-    def units(self) -> tuple[str | None, ...]:
-        """Units of the rows of g; None for scaled residuals."""
-        return tuple(block.unit for block in self.parts.rows for _ in block.names)
 
     @property
     def w_names(self) -> tuple[str, ...]:
