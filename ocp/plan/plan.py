@@ -196,14 +196,8 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             return replay_tracked(self)
         if parameters is None:
             model = self.require_model("replay")
-        elif self.problem is not None:
-            model = self.problem.with_parameters(parameters).model
         else:
-            raise add_address(
-                ValueError(
-                    f"parameters need the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
-                )
-            )
+            model = self._require_problem("parameters need").with_parameters(parameters).model
         return replay_open(self, model, scheme, step)
 
     def report(self) -> Report:
@@ -221,15 +215,91 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         ValueError
             If the problem is unknown.
         """
+        problem = self._require_problem("report needs")
+        return report_of(
+            problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals
+        )
+
+    def replan(
+        self,
+        *,
+        parameters: Any = None,
+        tolerance: float | None = None,
+        time_limit: float | None = None,
+        progress: bool | Callable[[Progress], object] | None = None,
+        **changes: Any,
+    ) -> Plan:
+        """Solve the problem again with changes, from this plan.
+
+        It is ``solve(changed_problem, guess=plan)``: the motion is the initial guess, and the first
+        attempt repeats transcription and solver. If the changed problem has the same constraints,
+        the duals are initial values, too. In sweeps over goals or parameters, each plan then
+        starts from the previous one.
+
+        Parameters
+        ----------
+        parameters : array_like, shape (np,), or mapping of str to array_like, optional
+            Values of the parameters of the problem's model, as in `solve`.
+        tolerance : float, optional
+            Largest permitted residual of the goals in the replay [m], as in `solve`.
+        time_limit : float, optional
+            Limit of the wall time [s], as in `solve`.
+        progress : bool or callable, optional
+            Progress of each attempt, as in `solve`.
+        **changes : object
+            New values of fields of `Problem`, such as ``goals``, ``bounds``, ``duration`` or
+            ``start``.
+
+        Returns
+        -------
+        Plan
+            The plan of the changed problem. It can be a local optimum near this plan, even if a
+            search without an initial guess finds a better one.
+
+        Raises
+        ------
+        InfeasibleGoalError
+            The goals are proven infeasible.
+        TypeError, ValueError
+            A change or an argument is invalid, or the problem of the plan is unknown.
+
+        Examples
+        --------
+        A bar cross folds by several angles:
+
+        >>> import ocp
+        >>> import tenscasadi as tc
+        >>> def fold(angle):
+        ...     return [ocp.StringLengths(tc.shapes.d_bar(angle=angle).string_lengths), ocp.AtRest()]
+        >>> model = tc.Model(tc.Scene(tc.shapes.d_bar(pinned=[0]), control=tc.ForceDensity()))
+        >>> plan = ocp.solve(ocp.Problem(model, goals=fold(0.7), costs=[ocp.Effort()]))
+        >>> nearby = [plan := plan.replan(goals=fold(angle)) for angle in (0.72, 0.74)]
+        >>> all(one.success for one in nearby)
+        True
+        """
+        known = {field.name for field in fields(Problem) if field.init}
+        if unknown := sorted(set(changes) - known):
+            raise TypeError(f"replan has no argument {unknown[0]!r}: give a field of ocp.Problem")
+        if tolerance is not None:
+            positive_number("tolerance", tolerance)
+        problem = replace(self._require_problem("replan needs"), **changes)
+        if parameters is not None:
+            problem = problem.with_parameters(parameters)
+        monitor = build_monitor(time_limit, progress)
+        return Plan.of(find_plan(problem, guess=self, tolerance=tolerance, monitor=monitor))
+
+    def _require_problem(self, user: str) -> Problem:
+        """Return the problem; raise ValueError if it is unknown.
+
+        `user` and a verb begin the message, such as "report needs".
+        """
         if self.problem is None:
             raise add_address(
                 ValueError(
-                    f"report needs the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
+                    f"{user} the problem, which the plan does not hold ({self.not_restored}): give Plan.load(path, problem=...)"
                 )
             )
-        return report_of(
-            self.problem, self.time, self.trajectory.states, self.control, self.replay(), self.duals
-        )
+        return self.problem
 
     def refine(
         self,

@@ -203,7 +203,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
     if target is None:
         return replace(plan, message=f"no plan: {outcome.why}"), task.target
-    other = _find_other_target(task, plan, outcome)
+    other = None if attempt.twin else _find_other_target(task, plan, outcome)
     if other is not None:
         again = task._replace(target=other)
         found, reached = run_attempt(again, attempt._replace(guess=replace(plan, duals=None)))
@@ -222,7 +222,15 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
         return found._replace(motions=tuple(reduced.lower(motion) for motion in found.motions))
 
     given = task.problem if search.reduced is None else search.reduced.given
-    plan = assess_plan(plan, target, outcome, task.tolerance, replay, task.tracked, given.scene)
+    options = task.tolerance, replay, task.tracked, given.scene
+    plan = assess_plan(plan, target, outcome, *options)
+    solved = outcome.success or outcome.coarse
+    if solved and not plan.success and outcome.finer and not task.monitor.status():
+        outcome = outcome.finer()
+        plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
+        plan = assess_plan(plan, target, outcome, *options)
+    if attempt.twin and not plan.success:  # it is an optimum of the twin only
+        plan = replace(plan, duals=None)
     return plan, task.target
 
 

@@ -127,7 +127,7 @@ def _find_force_densities(
             break
         plan = record_plan(twin, attempt.transcription, attempt.solver, found)
         twin = twin._replace(problem=tighter)
-        once_more = repeat_method(tighter, replace(plan, success=True))
+        once_more = repeat_method(twin, replace(plan, success=True))
         again, reached = run_attempt(twin, once_more or attempt._replace(twin=None, guess=plan))
         iterations += again.iterations
         if not (again.success or again.coarse):

@@ -24,7 +24,14 @@ from ocp.problem.scaling import Scales
 from ocp.results.result import PlanResult
 from ocp.sampling.method import default_intervals
 from ocp.sampling.solver import Sampling
-from ocp.search.rest_lengths import build_force_density_problem, convert_guess, limit_speeds
+from ocp.search.rest_lengths import (
+    build_force_density_problem,
+    convert_guess,
+    is_converted,
+    is_limited_at_instants,
+    limit_instants,
+    restore_forces,
+)
 from ocp.search.task import Method, PlanningTask
 from ocp.solvers.condensed_newton import CondensedNewton
 from ocp.solvers.condensed_newton.method import NOT_SETTLED
@@ -157,7 +164,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     near = sampled and is_near_ground(problem, first)
     after = FIRST
     # Another goal or parameter: 5 to 10 iterations, in place of 14 to 17 with another method
-    if again := repeat_method(problem, guess):
+    if again := repeat_method(task, guess):
         yield again
         after = FAILED
     if near:  # IPOPT finds 0 of 8 jumps through a penalty ground, sampling 12 of 12
@@ -184,7 +191,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
     elif force_attempt is not None:
         yield force_attempt
         after = FAILED
-        if strict := limit_attempt_speeds(problem, force_attempt):
+        if strict := limit_attempt_instants(problem, force_attempt):
             yield strict
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)
@@ -221,19 +228,19 @@ def build_force_density_attempt(
     return Attempt(coarse, solver, known, "stiff strings", after, twin)
 
 
-def limit_attempt_speeds(problem: Problem, attempt: Attempt) -> Attempt | None:
-    """Build the attempt in force densities that limits rates of rest lengths within intervals.
+def limit_attempt_instants(problem: Problem, attempt: Attempt) -> Attempt | None:
+    """Build the attempt in force densities with limits of rest lengths at single instants.
 
     Mean rates over intervals permit rates that alternate within them. Of rest lengths at 1e5 N/m
     with an active limit, mean rates find none, and this attempt finds a plan in 1.2 s of CPU time.
     At 1e4 N/m near the least feasible limit, it is the slower one: 23 s in place of 1.2 s. Returns
-    None without limits of rates.
+    None without limits of rates and damping.
     """
     twin = attempt.twin
-    limited = None if twin is None else limit_speeds(problem, twin.problem)
+    limited = None if twin is None else limit_instants(problem, twin.problem)
     if twin is None or limited is None:
         return None
-    why = "rates within intervals"
+    why = "limits at single instants"
     return attempt._replace(twin=twin._replace(problem=limited), why=why, after=FAILED)
 
 
@@ -250,22 +257,31 @@ def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
     return task._replace(problem=twin, target=target, scales=scales)
 
 
-def repeat_method(problem: Problem, guess: InitialGuess | None) -> Attempt | None:
+def repeat_method(task: PlanningTask, guess: InitialGuess | None) -> Attempt | None:
     """Build the attempt that repeats a plan's method with a warm start.
 
     Returns None unless `guess` is a successful plan by a nonlinear program for the same control.
+    Plans that were converted from force densities are solved in these, with the same limits.
     """
     if not isinstance(guess, PlanResult) or not guess.success or guess.duals is None:
         return None
     transcription, solver = guess.transcription, guess.solver
-    own = guess.trajectory.states.shape[1] == problem.model.nx
-    if not own or transcription is None or build_force_density_problem(problem) is not None:
-        return None  # plans that were converted from force densities are solved in these
+    if transcription is None or guess.trajectory.states.shape[1] != task.problem.model.nx:
+        return None
     if isinstance(solver, Ipopt):
         solver = replace(solver, warm_start=True)
     elif not isinstance(solver, CondensedNewton):
         return None
-    return Attempt(transcription, solver, guess, "solved before")
+    again = Attempt(transcription, solver, guess, "solved before")
+    if not is_converted(guess):
+        return again
+    twin = build_force_density_task(task)
+    if twin is None or twin.target is None:
+        return None
+    again = again._replace(guess=restore_forces(guess), twin=twin)
+    strict = limit_attempt_instants(task.problem, again)
+    found = strict is not None and is_limited_at_instants(guess)
+    return strict._replace(after=FIRST) if strict is not None and found else again
 
 
 def _for_sampling(problem: Problem) -> Transcription:

@@ -7,6 +7,7 @@ of the strings do not limit the mesh.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -33,7 +34,7 @@ from ocp.problem.instant import Instant, forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.rows import RESOLUTION
 from ocp.results.report import violated_limits
-from ocp.results.result import STEPS
+from ocp.results.result import STEPS, PlanResult
 from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import Guess, profile_at
 from tenscasadi.dynamics.model import Model
@@ -46,6 +47,10 @@ _DIFFERENT = Smoothness, Constraint, Integral, AtEnd
 # × RMS force density: error of the force densities between the nodes of the rest lengths, which
 # falls with the square of their number
 FORCE_ERROR = 0.03
+MAX_PARTS = 2 * STEPS  # parts of an interval, between whose ends rest lengths are linear
+AT_INSTANT = (
+    "at an instant"  # in the names of limits of converted rest lengths, see `limit_instants`
+)
 
 
 def build_force_density_problem(problem: Problem) -> Problem | None:
@@ -82,18 +87,26 @@ def build_force_density_problem(problem: Problem) -> Problem | None:
     return replace(problem, model=model, bounds=bounds)
 
 
-def limit_speeds(problem: Problem, twin: Problem) -> Problem | None:
-    """Add limits of rest-length rates at the start of intervals.
+def limit_instants(problem: Problem, twin: Problem) -> Problem | None:
+    """Add limits of converted rest lengths at single instants.
 
-    The limits of mean rates over the intervals remain. Returns None if `problem` has no such
-    limits. `twin` is the problem in force densities.
+    They are limits of rest-length rates at the start of intervals, where mean rates are limited,
+    and the condition that damped strings are longer than their rest lengths, without which they go
+    slack. Returns None if neither applies. `twin` is the problem in force densities.
     """
-    rates = combine_rates(problem.model.scene.structure, problem.bounds)
-    if not np.isfinite(rates).any():
-        return None
-    margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
-    others = [bound for bound in twin.bounds if not isinstance(bound, RestLengthRateLimits)]
-    return replace(twin, bounds=[*others, RestLengthSpeeds((1 - margin) * rates)])
+    scene = problem.model.scene
+    structure, parent = scene.structure, scene.modelled.string_parent
+    rates = combine_rates(structure, problem.bounds)
+    bounds = list(twin.bounds)
+    if np.isfinite(rates).any():
+        margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
+        bounds = [bound for bound in bounds if not isinstance(bound, RestLengthRateLimits)]
+        bounds.append(RestLengthSpeeds((1 - margin) * rates))
+    slack = [parent[which] for law, which in scene.string_laws if not law.pushes]
+    damping = np.where(np.isin(np.arange(len(rates)), np.hstack(slack)), structure.damping, 0.0)
+    if damping.any():
+        bounds.append(TautStrings(damping))
+    return None if bounds == list(twin.bounds) else replace(twin, bounds=bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +132,30 @@ class RestLengthSpeeds(RateBound):
         damped = c / k * (after.rates - before.rates) / interval
         at_start = before.rates * (1 - before.force_density / k) - before.lengths * changes / k
         rates = ca.vertcat(at_start + damped, (last - first) / interval + damped)
-        names = tuple(f"rest length rate of string {i}" for i in range(len(self.rate)))
+        means = tuple(f"rest length rate of string {i}" for i in range(len(self.rate)))
+        names = (*(f"{name}, {AT_INSTANT}" for name in means), *means)
         limits = np.tile(self.rate, 2)
-        return drop_infinite(Limit(rates, -limits, limits, 2 * names, "m/s"))
+        return drop_infinite(Limit(rates, -limits, limits, names, "m/s"))
+
+
+@dataclass(frozen=True, eq=False)
+class TautStrings(PathBound):
+    """Condition that damped strings are longer than their rest lengths.
+
+    A string with force density γ, length s and damping c has the elastic force density γ − c ṡ/s,
+    which has to be positive. A shorter string is slack, and its damping exerts no force. `damping`
+    (α,) [N s/m] is 0 for strings that cannot go slack.
+    """
+
+    damping: Array
+
+    def limit(self, now: Instant) -> Limit:
+        """Build the elastic force densities at the instant `now`, and their limits."""
+        elastic = now.force_density - ca.DM(self.damping) * now.rates / now.lengths
+        count = len(self.damping)
+        names = tuple(f"elastic force density of string {k}, {AT_INSTANT}" for k in range(count))
+        lower = np.where(self.damping > 0, 0.0, -np.inf)
+        return drop_infinite(Limit(elastic, lower, np.full(len(lower), np.inf), names, "N/m"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,10 +221,38 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
     return TrajectoryGuess(states, forces, guess.duration)
 
 
+def is_converted(plan: PlanResult) -> bool:
+    """Return whether a plan was converted from force densities, the unknowns of its duals."""
+    if plan.duals is None or plan.control is plan.force_density:
+        return False
+    unknowns = plan.duals.names[-len(plan.duals.point) :]
+    return any(name.startswith("force density of ") for name in unknowns)
+
+
+def is_limited_at_instants(plan: PlanResult) -> bool:
+    """Return whether a plan satisfies the limits of `limit_instants`."""
+    return plan.duals is not None and any(AT_INSTANT in name for name in plan.duals.names)
+
+
+def restore_forces(plan: PlanResult) -> PlanResult:
+    """Convert a plan of rest lengths, or of their rates, back to force densities.
+
+    Its duals are those in force densities, which `convert_outcome` keeps.
+    """
+    motion, model = plan.trajectory, plan.require_model("solve")
+    states = drop_internal_states(model, motion.states)
+    return replace(
+        plan,
+        trajectory=replace(motion, states=states),
+        inputs=None,
+        input_attribute="force_density",
+    )
+
+
 def tighten_rates(
     problem: Problem, twin: Problem, fractions: Array, found: Outcome
 ) -> Problem | None:
-    """Tighten the rate limits of `limit_speeds`.
+    """Tighten the rate limits of `limit_instants`.
 
     They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
     between. Returns None if they do not, if the states between mesh points diverge, or without such
@@ -218,19 +280,23 @@ def tighten_rates(
     return replace(twin, bounds=bounds)
 
 
-def convert_outcome(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
+def convert_outcome(
+    problem: Problem, fractions: Array, found: Outcome, finest: bool = False
+) -> Outcome:
     """Convert a result in force densities to rest-length control.
 
-    `fractions` are the interval lengths relative to the duration, `found` is the result.
-    Piecewise-linear force densities become rest lengths, their rates, or motor torques. Rates are
-    constant where rest lengths are linear. They lag behind where damping would require rates beyond
-    the limits. Torques follow from the inverse dynamics of the motors, whose speeds jump between
-    the intervals: they are only a guess. See `_convert_rest_lengths`.
+    `fractions` are the interval lengths relative to the duration, `found` is the result. With
+    `finest`, intervals have the largest number of parts. Piecewise-linear force densities become
+    rest lengths, their rates, or motor torques. Rates are constant where rest lengths are linear.
+    They lag behind where damping would require rates beyond the limits. Torques follow from the
+    inverse dynamics of the motors, whose speeds jump between the intervals: they are only a guess.
+    See `_convert_rest_lengths`.
     """
     locked = lock_winches(problem) if problem.model.na else problem
     if locked is None:
         raise ValueError("the problem has no counterpart in rest lengths")
-    found = _convert_rest_lengths(locked, fractions, found)
+    finer = None if finest else partial(convert_outcome, problem, fractions, found, True)
+    found = _convert_rest_lengths(locked, fractions, found, finest)._replace(finer=finer)
     control = problem.model.scene.control
     if not problem.model.na or found.time is None or control is None:
         return found
@@ -254,20 +320,24 @@ def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
 
-def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
+def _convert_rest_lengths(
+    problem: Problem, fractions: Array, found: Outcome, finest: bool
+) -> Outcome:
     """Convert a result in force densities to rest lengths.
 
     `found` is the result. `fractions` are the lengths of the intervals relative to the duration.
     The rest lengths are linear on parts of the intervals, short enough that the force densities
     between their ends are nearly those of the plan. The result fails if they violate a limit of the
     problem. As in the nonlinear programs of elastic strings, strings do not go slack (see
-    `build_smooth_model`); the description of the result names those that would.
+    `build_smooth_model`); the description of the result names those that would. With `finest`,
+    intervals have the largest number of parts.
     """
     converter = _Converter(problem, fractions, found)
     smooth = replace(problem, model=converter.model)
     solved = found.success or found.coarse
     # Limits were imposed at the ends of whole intervals, and may be exceeded between them.
-    for parts in (converter.count_parts(), 1) if solved else (1,):
+    most = MAX_PARTS if finest else converter.count_parts()
+    for parts in (most, 1) if solved else (1,):
         nodes = converter.nodes(parts)
         states, _, rest = converter.evaluate(nodes)
         time = found.duration * nodes
@@ -289,7 +359,6 @@ def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) ->
         coarse=found.coarse and not broken,
         why=why,
         imposed=f"{found.imposed}{note}",
-        duals=None,
     )
 
 
@@ -341,4 +410,4 @@ class _Converter:
         error = np.abs(forces_of(self.model, states, (rest[1:] + rest[:-1]) / 2) - planned).max()
         typical = float(np.sqrt(np.mean(planned**2)))
         parts = np.ceil(np.sqrt(error / (FORCE_ERROR * typical)))
-        return int(np.clip(parts, 1, 2 * STEPS)) if np.isfinite(parts) else 1
+        return int(np.clip(parts, 1, MAX_PARTS)) if np.isfinite(parts) else 1

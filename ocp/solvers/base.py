@@ -70,6 +70,9 @@ class Outcome(NamedTuple):
         Mesh points [s]; None if they are those of the transcription.
     coarse : bool
         Whether it fails only because the states are less accurate than requested.
+    finer : callable or None
+        Function that returns the same motion with rest lengths at the most times. Between them rest
+        lengths are linear, which makes elastic strings vibrate. None if the control is not converted.
     """
 
     states: Array
@@ -85,6 +88,7 @@ class Outcome(NamedTuple):
     imposed: str = ""
     time: Array | None = None
     coarse: bool = False
+    finer: Callable[[], Outcome] | None = None
 
 
 def find_best_iterate(program: Program, monitor: Monitor) -> Solution:

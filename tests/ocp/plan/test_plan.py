@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -306,3 +307,29 @@ def test_plans_do_not_change(plan):
     with pytest.raises(ValueError, match="read-only"):
         plan.force_density[0, 0] = 1.0
     assert not replace(plan, success=False).success
+
+
+def test_replan_takes_changes_of_the_problem(plan):
+    longer = plan.replan(duration=1.1 * plan.time[-1])
+    assert longer.success, longer.message
+    assert longer.time[-1] == pytest.approx(1.1 * plan.time[-1])
+    assert longer.problem.goals == plan.problem.goals
+    assert len(longer.time) == len(plan.time)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"goal": []}, TypeError, "replan has no argument 'goal': give a field of ocp.Problem"),
+        ({"tolerance": -1.0}, ValueError, "tolerance is -1: it must be greater than 0"),
+        ({"goals": 3}, TypeError, "Problem.goals"),
+    ],
+)
+def test_replan_rejects_unknown_changes(plan, changes, error, message):
+    with pytest.raises(error, match=re.escape(message)):
+        plan.replan(**changes)
+
+
+def test_replan_needs_the_problem(plan):
+    with pytest.raises(ValueError, match="replan needs the problem, which the plan does not hold"):
+        replace(plan, problem=None).replan()

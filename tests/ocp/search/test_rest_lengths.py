@@ -17,7 +17,7 @@ from ocp.search.policy import Attempt, attempts
 from ocp.search.rest_lengths import (
     build_force_density_problem,
     convert_outcome,
-    limit_speeds,
+    limit_instants,
     tighten_rates,
 )
 from ocp.search.task import prepare
@@ -68,6 +68,49 @@ def test_rates_keep_to_active_limits_between_mesh_points(stiffness):
         assert len(plan.time) > 100
 
 
+def test_more_rest_lengths_keep_elastic_strings_from_vibrating():
+    """Without damping, the first conversion ends at 0.03 m/s."""
+    plan = ocp.solve(stiff(1e4, damping=0.0))
+    assert plan.success, plan.message
+    assert "in force densities" in plan.message
+    assert plan.replay_speed_error < 1e-3
+    end = plan.replay(tc.RungeKutta4(), 0.5 * tc.stable_step(plan.model))
+    assert np.abs(end.velocities[-1]).max() < 2e-3
+
+
+def test_plan_holds_strings_taut_that_damping_would_slacken():
+    """Slack strings lose their damping, so that the first plan misses the goal by 7 cm."""
+    low = prism(1.0, stiffness=1e3, damping=10.0, prestress=30.0, pinned=range(3))
+    scene = tc.Scene(low, control=tc.RestLength(), gravity=tc.Gravity())
+    goals = [ocp.NodePositions(dict.fromkeys(range(3, 6), (None, None, 1.03))), ocp.AtRest()]
+    bounds, costs = [ocp.ForceDensityLimits(2.0, 300.0)], [ocp.Effort()]
+    plan = ocp.solve(ocp.Problem(tc.Model(scene), goals=goals, bounds=bounds, costs=costs))
+    assert plan.success, plan.message
+    assert "in force densities" in plan.message
+    end = plan.replay(tc.RungeKutta4(), 0.5 * tc.stable_step(plan.model))
+    assert end.nodes[-1, 3:, 2] == pytest.approx(1.03, abs=2e-3)
+    stretch = plan.lengths() - plan.rest_lengths()
+    assert stretch.min() > -1e-3
+
+
+@pytest.mark.parametrize("rate", [0.0605, 0.1])
+def test_warm_start_repeats_the_plan_in_force_densities(rate):
+    first = ocp.solve(stiff(1e4, ocp.RestLengthRateLimits(rate)))
+    assert first.duals["force density of string 0"].shape == (31,)
+    again = first.replan()
+    assert again.success, again.message
+    assert "in force densities" in again.message
+    assert again.iterations < 0.4 * first.iterations
+    assert again.objective == pytest.approx(first.objective, rel=1e-3)
+
+    goals = [ocp.StringLengths(prism(1.049).string_lengths), ocp.AtRest()]
+    cold = ocp.solve(replace(first.problem, goals=goals))
+    warm = first.replan(goals=goals)
+    assert warm.success, warm.message
+    assert warm.iterations < cold.iterations
+    assert warm.objective == pytest.approx(cold.objective, rel=1e-3)
+
+
 @pytest.mark.parametrize("parts", [1, 3, 7])
 def test_traced_states_are_the_planned_ones_at_mesh_points(plan, parts):
     """Also where the last time is rounded down."""
@@ -82,7 +125,7 @@ def test_traced_states_are_the_planned_ones_at_mesh_points(plan, parts):
 def test_rates_are_not_tightened_where_states_between_mesh_points_diverge():
     """Velocities whose squares overflow: whole intervals remain, and the replay decides."""
     problem = stiff(1e3, ocp.RestLengthRateLimits(0.5))
-    twin, count = limit_speeds(problem, build_force_density_problem(problem)), 3
+    twin, count = limit_instants(problem, build_force_density_problem(problem)), 3
     states = np.tile(twin.initial_state, (count + 1, 1))
     states[:, twin.model.nq :] = 1e200
     forces = np.full((count + 1, twin.model.nu), 50.0)
