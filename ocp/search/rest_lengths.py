@@ -296,7 +296,7 @@ def convert_outcome(
     if locked is None:
         raise ValueError("the problem has no counterpart in rest lengths")
     finer = None if finest else partial(convert_outcome, problem, fractions, found, True)
-    found = _convert_rest_lengths(locked, fractions, found, finest)._replace(finer=finer)
+    found = _convert_rest_lengths(locked, fractions, found._replace(finer=finer))
     control = problem.model.scene.control
     if not problem.model.na or found.time is None or control is None:
         return found
@@ -320,23 +320,21 @@ def _find_tensions(model: Model, states: Array, rest: Array) -> Array:
     return np.asarray(forces_of(build_smooth_model(model), states, rest) * lengths)
 
 
-def _convert_rest_lengths(
-    problem: Problem, fractions: Array, found: Outcome, finest: bool
-) -> Outcome:
+def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) -> Outcome:
     """Convert a result in force densities to rest lengths.
 
     `found` is the result. `fractions` are the lengths of the intervals relative to the duration.
     The rest lengths are linear on parts of the intervals, short enough that the force densities
     between their ends are nearly those of the plan. The result fails if they violate a limit of the
     problem. As in the nonlinear programs of elastic strings, strings do not go slack (see
-    `build_smooth_model`); the description of the result names those that would. With `finest`,
-    intervals have the largest number of parts.
+    `build_smooth_model`); the description of the result names those that would, which more rest
+    lengths do not prevent. Without `found.finer`, intervals have the largest number of parts.
     """
     converter = _Converter(problem, fractions, found)
     smooth = replace(problem, model=converter.model)
     solved = found.success or found.coarse
     # Limits were imposed at the ends of whole intervals, and may be exceeded between them.
-    most = MAX_PARTS if finest else converter.count_parts()
+    most = MAX_PARTS if found.finer is None else converter.count_parts()
     for parts in (most, 1) if solved else (1,):
         nodes = converter.nodes(parts)
         states, _, rest = converter.evaluate(nodes)
@@ -359,6 +357,7 @@ def _convert_rest_lengths(
         coarse=found.coarse and not broken,
         why=why,
         imposed=f"{found.imposed}{note}",
+        finer=None if note else found.finer,
     )
 
 
