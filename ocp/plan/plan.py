@@ -232,9 +232,8 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         """Solve the problem again with changes, from this plan.
 
         It is ``solve(changed_problem, guess=plan)``: the motion is the initial guess, and the first
-        attempt repeats transcription and solver. If the changed problem has the same constraints,
-        the duals are initial values, too. In sweeps over goals or parameters, each plan then
-        starts from the previous one.
+        attempt repeats transcription and solver. Duals are initial values, too, if the changed
+        problem has the same constraints.
 
         Parameters
         ----------
@@ -253,8 +252,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
         Returns
         -------
         Plan
-            The plan of the changed problem. It can be a local optimum near this plan, even if a
-            search without an initial guess finds a better one.
+            The plan of the changed problem, a local optimum near this plan.
 
         Raises
         ------
