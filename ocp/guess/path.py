@@ -20,7 +20,7 @@ from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, project_states
 from tenscasadi.dynamics.model import Model
 from tenscasadi.util.linear_algebra import fit_rotation
-from tenscasadi.util.validate import Array
+from tenscasadi.util.validate import Array, Indices
 
 LARGE_TURN = 0.5  # rad; for smaller rotations, straight lines are good paths
 
@@ -228,7 +228,7 @@ def _turn_bars(
     by the angle nearest to that of its velocities at both ends. Bars nearly keep their lengths, and
     other nodes stay near their lines. Returns None if no bar rotates far.
     """
-    structure, ends = model.structure, model.structure.bars
+    structure, ends = model.structure, _list_rods(model)
     b0, b1, r0, r1 = (
         values[ends[:, 1]] - values[ends[:, 0]]
         for values in (nodes[0], nodes[-1], leaving, arriving)
@@ -262,6 +262,14 @@ def _turn_bars(
     return np.asarray(solve @ np.concatenate([bars, stays * nodes], axis=1))
 
 
+def _list_rods(model: Model) -> Indices:
+    """List the ends (m, 2) of all bars, and of the massless bars of rigid bodies."""
+    structure, mechanism = model.structure, model.mechanism
+    inner = mechanism.C_b[mechanism.bars - len(mechanism.body_of_bar) :]
+    ends = np.sort(inner.indices.reshape(-1, 2))  # two entries in each row
+    return np.vstack([structure.bars, ends[(ends < len(structure.nodes)).all(axis=1)]])
+
+
 def _add_velocities(problem: Problem, target: Target, q: Array, duration: float) -> Array | None:
     """Build states that satisfy the constraints from free coordinates.
 
@@ -289,7 +297,7 @@ def _add_velocities(problem: Problem, target: Target, q: Array, duration: float)
     states[0] = start
     if target.state is not None:
         states[-1] = target.state
-    ends = model.nodes(states)[:, model.structure.bars]
+    ends = model.nodes(states)[:, _list_rods(model)]
     bars = ends[:, :, 1] - ends[:, :, 0]
     turned = np.einsum("kba,kba->kb", bars[1:], bars[:-1])
     return states if np.all(np.isfinite(states)) and np.all(turned > 0) else None

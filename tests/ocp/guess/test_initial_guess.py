@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from planning import prism, raising
+from planning import driven, prism, raising
 
 import ocp
 import tenscasadi as tc
@@ -142,3 +142,31 @@ def test_bad_guesses_are_refused_by_name(name):
     make, error, message = BAD[name]
     with pytest.raises(error, match=message):
         ocp.solve(growing(), ocp.MultipleShooting(5), guess=make())
+
+
+@pytest.mark.parametrize("body", [False, True])
+def test_a_plate_turns_over_half_a_circle_without_collapse(body):
+    """Straight lines would lead all nodes of a plate, or of a triangle of bars, through its center."""
+    angle = np.deg2rad([90, 210, 330])
+    ring = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(3)])
+    frame = [-1.5 * ring + [0, 0, z] for z in (-1.0, 1.0)]
+    rigid = {"bars": [(0, 1), (1, 2), (2, 0)]}
+    if body:
+        rigid = {"bodies": [tc.RigidBody((0, 1, 2), mass=3.0, inertia=(0.1, 0.1, 0.2))]}
+    structure = tc.Structure(
+        np.vstack([0.4 * ring, *frame]),
+        strings=[(i, j) for i in range(3) for j in range(3, 9)],
+        pinned=range(3, 9),
+        **rigid,
+    )
+    problem = ocp.Problem(
+        driven(structure),
+        2.0,
+        goals=[ocp.NodePositions({k: tuple(-0.4 * ring[k]) for k in range(3)}), ocp.AtRest()],
+        bounds=[ocp.ForceDensityLimits(0.0, 300.0)],
+        costs=[ocp.Effort()],
+    )
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message
+    sides = plan.trajectory.nodes[:, [1, 2, 0]] - plan.trajectory.nodes[:, :3]
+    assert np.linalg.norm(sides, axis=2) == pytest.approx(0.4 * np.sqrt(3), rel=1e-3)
