@@ -21,13 +21,16 @@ from ocp.sampling.horizon_costs import build_control_cost, build_rate_cost, buil
 from ocp.transcription.mesh import Profile, group_matrix, hermite_state, locate_share, spans
 from tenscasadi.integrators.runge_kutta import RungeKutta4
 from tenscasadi.simulation.engine.build import build_kernel
-from tenscasadi.simulation.engine.request import STOPPED, Intervals
+from tenscasadi.simulation.engine.request import STOPPED, Intervals, Rolled
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.processes import count_processors
 from tenscasadi.util.validate import Array
 
 Watcher = Callable[[str], bool]  # function of a line of progress; returns whether to stop
+# changes (n, α) of force densities [N/m] in an interval, from the states (n, nx) at its start
+Feedback = Callable[[int, Array], Array]
 
+PROBE = 1e-6  # change of finite differences, in units of the directions and of scaled states
 COST_SHARE = 0.1  # weight of the costs against a goal that is off by its tolerance
 
 
@@ -83,7 +86,7 @@ class BatchSimulation:
         threads: int | None,
     ) -> None:
         self.problem, self.fractions, self.steps, self.place = problem, fractions, steps, place
-        self._scales, self._strength, self._cached = (
+        self.scales, self._strength, self._cached = (
             scales,
             strength,
             dict[tuple[str, int], ArrayFunction](),
@@ -107,8 +110,6 @@ class BatchSimulation:
         # the mean of strings that share a force density
         self._shared = together @ (together / together.sum(axis=0)).T
         self._spans = spans(profile, fractions)
-        # feedback that is added to the controls, a function of the state at the start of intervals
-        self.law: ca.Function | None = None
         self.count = 0  # simulated motions
         self._control_cost = build_control_cost(problem, longest / count, count)
         self._rate_cost = build_rate_cost(problem, scales, longest / count, count, strength)
@@ -152,40 +153,34 @@ class BatchSimulation:
         return found
 
     def roll(
-        self, starts: Array, wanted: Array, duration: float, first: int = 0, finer: int = 1
+        self,
+        starts: Array,
+        wanted: Array,
+        duration: float,
+        first: int = 0,
+        finer: int = 1,
+        law: Feedback | None = None,
     ) -> tuple[Array, Array, Array]:
         """Simulate n control sequences over k intervals.
 
         `starts` (n, nx) are the states at the start of interval `first`. `duration` is that of the
         whole plan [s]. Returns the force densities (n, k, α), the states (n, k + 1, nx) at the ends
         of the intervals from `first` on, and the running costs (n,). `wanted` (n, k, α) are the
-        force densities without the feedback law, and `finer` multiplies the number of steps. Costs
-        are inf and states NaN if a simulation diverges. Ctrl-C raises KeyboardInterrupt.
+        force densities without the feedback `law`, and `finer` multiplies the number of steps.
+        Costs are inf and states NaN if a simulation diverges. Ctrl-C raises KeyboardInterrupt.
         """
         n, count, nu = wanted.shape
-        ends = duration * np.cumsum(self.fractions)[first : first + count]
-        lengths = duration * self.fractions[first : first + count]
         controls, states = np.empty((n, count, nu)), np.empty((n, count + 1, self.problem.model.nx))
         states[:, 0], cost = starts, np.zeros(n)
-        steps = self.steps * finer
-        # to start a thread costs as much as some thousand steps
-        threads = max(1, min(self._threads, n * steps // 4000))
-        inputs = np.empty((n, 1, nu + 1))
         for k in range(count):
             if k and self._spans[first + k] == self._spans[first + k - 1]:
                 controls[:, k] = controls[:, k - 1]
             else:
-                answer = 0.0 if self.law is None else self._evaluate("law", self.law, states[:, k])
+                answer = 0.0 if law is None else law(first + k, states[:, k])
                 controls[:, k] = np.clip(
                     np.nan_to_num(wanted[:, k] + answer) @ self._shared, self._lower, self._upper
                 )
-            inputs[:, 0, :nu], inputs[:, 0, nu] = controls[:, k], ends[k]
-            intervals = Intervals(
-                np.zeros(1, int), np.full(1, steps), np.full(1, lengths[k] / steps)
-            )
-            rolled = self.kernel.run(states[:, k], inputs, intervals, threads=threads)
-            if np.any(rolled.status == STOPPED):
-                raise KeyboardInterrupt
+            rolled = self._advance(first + k, states[:, k], controls[:, k], duration, finer)
             states[:, k + 1] = rolled.states
             cost += rolled.cost
         self.count += n
@@ -193,6 +188,67 @@ class BatchSimulation:
             np.isfinite(states[:, -1]).all(axis=1), np.nan_to_num(cost, nan=np.inf), np.inf
         )
         return controls, states, cost + self._other_costs(states, controls, first)
+
+    def _advance(
+        self, k: int, states: Array, controls: Array, duration: float, finer: int
+    ) -> Rolled:
+        """Simulate interval k from n states (n, nx) with controls (n, α)."""
+        n, steps = len(states), self.steps * finer
+        inputs = np.column_stack([controls, np.full(n, duration * self.fractions[: k + 1].sum())])
+        length = np.full(1, duration * self.fractions[k] / steps)
+        # to start a thread costs as much as some thousand steps
+        threads = max(1, min(self._threads, n * steps // 4000))
+        intervals = Intervals(np.zeros(1, int), np.full(1, steps), length)
+        rolled = self.kernel.run(states, inputs[:, None], intervals, threads=threads)
+        if np.any(rolled.status == STOPPED):
+            raise KeyboardInterrupt
+        return rolled
+
+    def linearize(
+        self, states: Array, controls: Array, duration: float, directions: Array, finer: int
+    ) -> Array:
+        """Compute the derivatives (K, nx, nx + 1 + g) of a motion over each of its intervals.
+
+        They are those of the state at the end with respect to the state at the start, to the
+        duration relative to itself, and to changes along `directions` (g, α). The motion has states
+        (K + 1, nx) and controls (K, α). Derivatives are 0 if a simulation diverges.
+        """
+        nx, g = states.shape[1], len(directions)
+        probes, changes = PROBE * np.diag(self.scales.state), PROBE * directions
+        by = np.concatenate([PROBE * self.scales.state, np.full(1 + g, PROBE)])
+        found = np.empty((len(controls), nx, nx + 1 + g))
+        for k, (x, u) in enumerate(zip(states[:-1], controls, strict=True)):
+            ends = self._advance(
+                k,
+                np.concatenate([x + probes, np.tile(x, (g + 1, 1))]),
+                np.concatenate([np.tile(u, (nx + 1, 1)), u + changes]),
+                duration,
+                finer,
+            ).states
+            same = ends[nx].copy()
+            ends[nx] = self._advance(k, x[None], u[None], duration * (1 + PROBE), finer).states[0]
+            found[k] = (ends - same).T / by
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def gather_spans(self, slopes: Array) -> Array:
+        """Sum derivatives (m, K, g) over intervals with equal control, at the first of them."""
+        first = np.flatnonzero(np.diff(self._spans, prepend=-1))
+        found = np.zeros_like(slopes)
+        found[:, first] = np.add.reduceat(slopes, first, axis=1)
+        return found
+
+    @cached_property
+    def row_intervals(self) -> Array:
+        """Interval (m,) of each row of `misses`, then of `excess`."""
+        count = len(self.fractions)
+        found = [np.full(len(one.names), one.interval) for one in self.asked]
+        for rows in self._limits:
+            for end in rows.ends:
+                own = [count - 1] if end == "last" else np.arange(count)
+                found.append(np.repeat(own, len(rows.upper)))
+        for rows in self._rate_limits if count > 1 else ():
+            found.append(np.repeat(np.arange(count - 1), len(rows.upper)))
+        return np.concatenate(found or [np.zeros(0, int)])
 
     def misses(self, states: Array, duration: float, first: int = 0, speed: float = 1.0) -> Array:
         """Compute goal residuals (n, m) in units of their tolerances.
@@ -208,7 +264,7 @@ class BatchSimulation:
                 h = np.full(n, duration * self.fractions[one.interval])
                 sizes = np.where(one.speeds, speed * self.place / self.problem.longest, self.place)
                 rows.append(
-                    self._evaluate(f"asked {number}", one.rows, states[:, k], states[:, k + 1], h)
+                    self.evaluate(f"asked {number}", one.rows, states[:, k], states[:, k + 1], h)
                     / sizes
                 )
         return np.concatenate(rows, axis=1)
@@ -254,7 +310,7 @@ class BatchSimulation:
         return np.concatenate(found, axis=1)
 
     def _beyond(self, name: str, rows: ScaledRows, n: int, *given: Array) -> Array:
-        value = self._evaluate(name, rows.function, *given)
+        value = self.evaluate(name, rows.function, *given)
         return np.maximum(np.maximum(value - rows.upper, rows.lower - value), 0.0).reshape(n, -1)
 
     def describe_worst(self, states: Array, controls: Array, duration: float) -> str:
@@ -311,11 +367,11 @@ class BatchSimulation:
 
     @cached_property
     def _limits(self) -> list[Any]:
-        return scaled_rows(self.problem, PathBound, self._scales, self._strength)
+        return scaled_rows(self.problem, PathBound, self.scales, self._strength)
 
     @cached_property
     def _rate_limits(self) -> list[Any]:
-        return scaled_rows(self.problem, RateBound, self._scales, self._strength)
+        return scaled_rows(self.problem, RateBound, self.scales, self._strength)
 
     def _other_costs(self, states: Array, controls: Array, first: int) -> Array:
         """Compute the costs (n,) other than running costs.
@@ -338,18 +394,18 @@ class BatchSimulation:
                 self._weight
                 * count
                 / len(self.fractions)
-                * self._evaluate("control", self._control_cost, padded).ravel()
+                * self.evaluate("control", self._control_cost, padded).ravel()
             )
         if self._rate_cost is not None and count > 1:
             given = (
                 part.reshape(n * (count - 1), -1)
                 for part in (states[:, :-2], controls[:, :-1], states[:, 1:-1], controls[:, 1:])
             )
-            total += self._evaluate("rates", self._rate_cost, *given).reshape(n, -1).sum(axis=1)
+            total += self.evaluate("rates", self._rate_cost, *given).reshape(n, -1).sum(axis=1)
         for number, (k, cost) in enumerate(self._instant_costs):
             if first <= k < first + count:
                 at = states[:, k - first + 1], controls[:, k - first]
-                total += self._weight * self._evaluate(f"cost {number}", cost, *at).ravel()
+                total += self._weight * self.evaluate(f"cost {number}", cost, *at).ravel()
         return total
 
     @cached_property
@@ -369,7 +425,7 @@ class BatchSimulation:
             )
         return found
 
-    def _evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:
+    def evaluate(self, name: str, function: ca.Function, *inputs: Array) -> Array:
         """Evaluate a Function for n rows of inputs in one call.
 
         `name` is the key under which its map is cached.

@@ -1,4 +1,4 @@
-"""Gauss-Newton method with finite differences of simulations."""
+"""Gauss-Newton method with feedback, for simulated motions."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ocp.sampling.batch_simulation import BatchSimulation, Watcher
-from tenscasadi.util.validate import Array
+from ocp.sampling.batch_simulation import PROBE, BatchSimulation, Feedback, Watcher
+from tenscasadi.util.validate import Array, Indices
 
-PROBE = 1e-4  # change of finite differences, in units of the directions
 SETTLED = 0.3  # residual in units of the tolerance below which the method ends
 
 
@@ -19,19 +18,16 @@ class Candidate:
 
     Attributes
     ----------
-    wanted : ndarray, shape (K, α)
-        Force densities without the feedback law of elastic strings [N/m].
     duration : float
         Duration [s].
     force_density : ndarray, shape (K, α)
-        Applied force densities [N/m].
+        Force densities [N/m].
     states : ndarray, shape (K + 1, nx)
         States [m, m/s].
     rows : ndarray, shape (m,)
         Residuals of goals and limits, in units of their tolerances.
     """
 
-    wanted: Array
     duration: float
     force_density: Array
     states: Array
@@ -50,35 +46,56 @@ class Candidate:
         return float(self.rows @ self.rows) if np.all(np.isfinite(self.rows)) else np.inf
 
 
-class Descent:
-    """Gauss-Newton method with finite-difference Jacobians of goals and limits.
+@dataclass(frozen=True, eq=False)
+class Linearization:
+    """Residuals near a motion, as linear functions of deviations from it.
 
-    A batch of simulations (`motions`) yields each Jacobian. The unknowns are factors of the changes
-    `directions` (g, α) of the force densities [N/m]. They are linear in time between at most 500 /
-    g knots. `finer` multiplies the number of time steps.
+    Attributes
+    ----------
+    residuals : ndarray, shape (m,)
+        Residuals of the motion.
+    by_state : ndarray, shape (K, m, nx + 1)
+        Derivatives with respect to the state at the start of an interval, and to the duration
+        relative to that of the motion.
+    by_control : ndarray, shape (m, K, g)
+        Derivatives with respect to changes along g directions; 0 where a limit forbids them.
+    """
+
+    residuals: Array
+    by_state: Array
+    by_control: Array
+
+    def solve(self, first: int, residuals: Array, damping: Array, more: Array) -> Array:
+        """Solve (U Uᵀ + damping) y = residuals, for controls from interval `first` on.
+
+        U are the derivatives with respect to them, and `more` (m, c) further columns. `residuals`
+        and y are (n, m), and `damping` (n,).
+        """
+        U = np.concatenate([self.by_control[:, first:].reshape(len(more), -1), more], axis=1)
+        systems = U @ U.T + damping[:, None, None] * np.eye(len(U))
+        return np.asarray(np.linalg.solve(systems, residuals[..., None])[..., 0])
+
+
+class Descent:
+    """Gauss-Newton method for the residuals of goals and limits.
+
+    The unknowns are changes of the force densities along `directions` (g, α) [N/m] in each
+    interval. `finer` multiplies the number of time steps. A trial motion computes its change in an
+    interval from its own state there, as the damped step that the remaining intervals need. This
+    feedback keeps trial motions near the linear prediction, along which open-loop motions diverge:
+    with contact, predictions hold for tiny changes only.
     """
 
     def __init__(self, motions: BatchSimulation, directions: Array, finer: int = 1) -> None:
-        self._motions, self._directions, self._finer, self._speed = motions, directions, finer, 1.0
-        count = len(motions.fractions)
-        knots = int(np.clip(500 // len(directions), min(count, 8), count))
-        place = np.linspace(0.0, knots - 1.0, count)[:, None]
-        basis = np.maximum(0.0, 1.0 - np.abs(place - np.arange(knots)))  # linear between knots
-        self._changes = np.einsum("ik,jl->kjil", basis, directions).reshape(
-            knots * len(directions), count, -1
-        )
+        self._motions, self._directions, self._finer = motions, directions, finer
 
-    def run(
-        self, wanted: Array, duration: float, speed: float, iterations: int, over: Watcher
-    ) -> tuple[Candidate, int]:
-        """Iterate until residuals are small.
+    def run(self, point: Candidate, iterations: int, over: Watcher) -> tuple[Candidate, int]:
+        """Iterate from a candidate until its residuals are small.
 
-        `wanted` (K, α) are the initial force densities. `over` reports progress and returns whether
-        to stop. `speed` multiplies the tolerance of velocities. There are at most `iterations`.
-        `duration` is in seconds. Returns the best candidate and the number of iterations.
+        `over` reports progress and returns whether to stop. There are at most `iterations`. Returns
+        the best candidate and the number of iterations.
         """
-        self._speed = speed
-        point, stalls = self._points(wanted[None], [duration])[0], 0
+        stalls = 0
         for k in range(iterations):
             if point.worst < SETTLED or stalls >= 4 or not np.isfinite(point.merit):
                 return point, k
@@ -94,119 +111,136 @@ class Descent:
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:
-        """Compute the largest residual in a simulation with finer steps.
+        """Compute the largest residual of the goals in a simulation with finer steps.
 
         The candidate `point` is simulated with `finer` times as many steps. The residual is
         relative to its tolerance, and inf if the simulation diverges.
         """
         motions = self._motions
-        law, motions.law = motions.law, None
-        states = motions.roll(
-            motions.problem.initial_state[None],
-            point.force_density[None],
-            point.duration,
-            finer=finer,
-        )[1]
-        motions.law = law
+        start = motions.problem.initial_state[None]
+        states = motions.roll(start, point.force_density[None], point.duration, finer=finer)[1]
         missed = motions.misses(states, point.duration)
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
-    def _points(self, wanted: Array, durations: list[float]) -> list[Candidate]:
-        """Simulate force densities (n, K, α) and build candidates.
+    def simulate(
+        self, force_density: Array, duration: float, law: Feedback | None = None
+    ) -> list[Candidate]:
+        """Simulate force densities (n, K, α) for a duration [s], and build candidates.
 
-        `wanted` are the force densities, `durations` the n durations [s].
+        The feedback `law` adds to them.
         """
-        if len(set(durations)) > 1:
-            return [
-                self._points(one[None], [duration])[0]
-                for one, duration in zip(wanted, durations, strict=True)
-            ]
-        duration, motions = durations[0], self._motions
-        gamma, states, _ = motions.roll(
-            np.tile(motions.problem.initial_state, (len(wanted), 1)),
-            wanted,
-            duration,
-            finer=self._finer,
-        )
-        rows = np.concatenate(
-            [
-                motions.misses(states, duration, speed=self._speed),
-                1e3 * motions.excess(states, gamma, duration),
-            ],
-            axis=1,
-        )
-        return [
-            Candidate(*given)
-            for given in zip(wanted, [duration] * len(wanted), gamma, states, rows, strict=True)
-        ]
+        motions = self._motions
+        starts = np.tile(motions.problem.initial_state, (len(force_density), 1))
+        gamma, states, _ = motions.roll(starts, force_density, duration, 0, self._finer, law)
+        rows = self._residuals(states, gamma, duration)
+        return [Candidate(duration, *own) for own in zip(gamma, states, rows, strict=True)]
+
+    def _residuals(self, states: Array, gamma: Array, duration: float) -> Array:
+        """Compute the residuals (n, m) of goals and limits, in units of their tolerances."""
+        motions = self._motions
+        over = 1e3 * motions.excess(states, gamma, duration)
+        return np.concatenate([motions.misses(states, duration), over], axis=1)
 
     def _step(self, point: Candidate) -> Candidate:
-        """Try steps with ten damping parameters, and return the best.
+        """Try steps with several damping parameters and lengths, and return the best.
 
         Steps begin at the candidate `point`.
         """
-        problem, changes = self._motions.problem, self._changes
-        lower, upper = problem.force_density_limits
-        room = [
-            np.where(changes > 0, side, 0.0).sum(axis=(1, 2))
-            for side in (upper - point.wanted, point.wanted - lower)
-        ]
-        sign = np.where(room[0] >= room[1], 1.0, -1.0)
-        probes = np.clip(point.wanted + PROBE * sign[:, None, None] * changes, lower, upper)
-        J = self._slopes(point, self._points(probes, [point.duration] * len(probes)), PROBE * sign)
-        free = problem.shortest < problem.longest
-        if free:
-            side = -PROBE if point.duration * (1 + PROBE) > problem.longest else PROBE
-            J = np.column_stack(
-                [
-                    J,
-                    self._slopes(
-                        point,
-                        self._points(point.wanted[None], [point.duration * (1 + side)]),
-                        np.array([side]),
-                    ),
-                ]
-            )
-        used = np.flatnonzero(J.any(axis=1) & (point.rows != 0))
-        J, r = J[used], point.rows[used]
-        if not J.size:
+        problem, near = self._motions.problem, self._linearize(point)
+        if not near.by_control.any():
             return point
-        steps = [
-            _find_bounded_step(J, r, damping * float(np.linalg.norm(J, 2)) ** 2, room)
-            for damping in np.geomspace(1e-8, 1e1, 10)
-        ]
-        tried = np.clip(
-            [point.wanted + np.tensordot(step[: len(changes)], changes, 1) for step in steps],
-            lower,
-            upper,
-        )
-        stretched = [point.duration * (1 + step[-1]) if free else point.duration for step in steps]
-        spans = np.clip(np.array(stretched), problem.shortest, problem.longest).tolist()
-        return min(self._points(tried, spans), key=lambda one: one.merit)
+        norm = float(np.linalg.norm(near.by_control.reshape(len(near.residuals), -1), 2))
+        damping = np.tile(np.geomspace(1e-10, 1e-1, 10) * norm**2, 2)
+        share = np.repeat([1.0, 0.3], 10)
+        free = problem.shortest < problem.longest
+        by_duration = near.by_state[0, :, -1:] if free else np.zeros((len(near.residuals), 0))
+        wanted = share[:, None] * near.residuals
+        longer = -near.solve(0, wanted, damping, by_duration) @ by_duration
+        stretch = 1 + longer.sum(axis=1)
+        durations = np.clip(stretch * point.duration, problem.shortest, problem.longest)
 
-    @staticmethod
-    def _slopes(point: Candidate, moved: list[Candidate], by: Array) -> Array:
-        """Compute the Jacobian (m, n) of the residuals by finite differences.
+        def law(own: Indices) -> Feedback:
+            ratio = durations[own] / point.duration - 1
 
-        It is that with respect to the unknowns. Candidate k of `moved` differs from `point` by the
-        change by[k] of unknown k. Columns are 0 if a simulation diverges.
+            def feedback(k: int, states: Array) -> Array:
+                away = np.column_stack([states - point.states[k], ratio])
+                away[~np.isfinite(away).all(axis=1)] = 0.0  # motions that diverge
+                missed = wanted[own] + away @ near.by_state[k].T
+                y = near.solve(k, missed, damping[own], by_duration[:, :0])
+                return -(y @ near.by_control[:, k]) @ self._directions
+
+            return feedback
+
+        tried: list[Candidate] = []
+        for duration in np.unique(durations):
+            own = np.flatnonzero(durations == duration)
+            gamma = np.repeat(point.force_density[None], len(own), axis=0)
+            tried += self.simulate(gamma, float(duration), law(own))
+        return min(tried, key=lambda one: one.merit)
+
+    def _linearize(self, point: Candidate) -> Linearization:
+        """Linearize the residuals that are not 0 about a candidate.
+
+        Derivatives with respect to the states are propagated backward from interval to interval.
         """
-        slopes = (np.array([one.rows for one in moved]) - point.rows).T / by
-        return np.where(np.isfinite(slopes).all(axis=0), slopes, 0.0)
+        motions, nx = self._motions, point.states.shape[1]
+        over_interval = motions.linearize(
+            point.states, point.force_density, point.duration, self._directions, self._finer
+        )
+        used = np.flatnonzero(point.rows)
+        at_points, by_control = self._row_slopes(point, used)
+        nodes = np.eye(nx + 1)[None].repeat(len(over_interval), 0)
+        nodes[:, :nx] = over_interval[..., : nx + 1]
+        by_state, later = np.empty((len(nodes), len(used), nx + 1)), at_points[-1]
+        for k in range(len(nodes) - 1, -1, -1):
+            by_control[:, k] += later[:, :nx] @ over_interval[k][:, nx + 1 :]
+            later = at_points[k] + later @ nodes[k]
+            by_state[k] = later
+        by_control = motions.gather_spans(by_control)
+        r = point.rows[used]
+        by_control[:, self._find_blocked(point, np.tensordot(r, by_control, 1))] = 0.0
+        return Linearization(r, by_state, by_control)
 
+    def _find_blocked(self, point: Candidate, gradient: Array) -> Array:
+        """Return whether a limit forbids the change (K, g) against the gradient of the merit."""
+        lower, upper = self._motions.problem.force_density_limits
+        ahead = self._directions > 0
+        up, down = (
+            np.where(ahead, side[:, None], 0.0).sum(axis=2)
+            for side in (upper - point.force_density, point.force_density - lower)
+        )
+        return np.asarray(((gradient < 0) & (up <= 0)) | ((gradient > 0) & (down <= 0)))
 
-def _find_bounded_step(J: Array, r: Array, damping: float, room: list[Array]) -> Array:
-    """Minimize |r + J d|² + damping |d|² within limits of d.
+    def _row_slopes(self, point: Candidate, used: Indices) -> tuple[Array, Array]:
+        """Compute the derivatives of residuals with respect to their own instants.
 
-    r (m,) are residuals and J (m, n) is their Jacobian. `room` are the distances from the upper and
-    the lower limits. Returns d (n,).
-    """
-    held, count = np.zeros(J.shape[1], dtype=bool), len(room[0])
-    while True:
-        A = np.where(held, 0.0, J)
-        d = -A.T @ np.linalg.solve(A @ A.T + damping * np.eye(len(r)), r)
-        pushed = np.zeros_like(held)
-        pushed[:count] = ((d[:count] > 0) & (room[0] <= 0)) | ((d[:count] < 0) & (room[1] <= 0))
-        if not (pushed & ~held).any():
-            return np.asarray(d)
-        held |= pushed
+        A residual depends on both ends of its interval, and on the controls there. All even, or all
+        odd, instants change at once. Returns the derivatives (K + 1, m, nx + 1) with respect to the
+        states and to the relative duration, and (m, K, g) with respect to controls, of the m
+        residuals `used`.
+        """
+        motions, scale = self._motions, PROBE * self._motions.scales.state
+        count, nx = len(point.force_density), len(scale)
+        rows, place = point.rows[used], motions.row_intervals[used]
+        at_points = np.zeros((count + 1, len(used), nx + 1))
+        by_control = np.zeros((len(used), count, len(self._directions)))
+        for parity in (0, 1):
+            at = place + (place + parity) % 2
+            states = np.tile(point.states, (nx, 1, 1))
+            states[:, parity::2] += np.diag(scale)[:, None]
+            gamma = np.tile(point.force_density, (len(self._directions), 1, 1))
+            gamma[:, parity::2] += PROBE * self._directions[:, None]
+            by_x = self._residuals(
+                states, np.tile(point.force_density, (nx, 1, 1)), point.duration
+            )[:, used]
+            by_u = self._residuals(
+                np.tile(point.states, (len(gamma), 1, 1)), gamma, point.duration
+            )[:, used]
+            at_points[at, np.arange(len(used)), :nx] = (by_x - rows).T / scale
+            inside = at < count
+            by_control[inside, at[inside]] = ((by_u - rows) / PROBE).T[inside]
+        longer = self._residuals(
+            point.states[None], point.force_density[None], point.duration * (1 + PROBE)
+        )[0, used]
+        at_points[place, np.arange(len(used)), nx] = (longer - rows) / PROBE
+        return np.nan_to_num(at_points), np.nan_to_num(by_control)

@@ -9,7 +9,7 @@ import numpy as np
 from ocp.problem.control import require_force_densities
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.sampling.batch_simulation import BatchSimulation
+from ocp.sampling.batch_simulation import BatchSimulation, Feedback
 from ocp.sampling.defaults import (
     SamplingDefaults,
     choose_defaults,
@@ -133,7 +133,8 @@ class _Method:
             tolerance,
             solver.threads,
         )
-        self._law = elastic_law(problem, self._defaults.strength, self._defaults.mass, interval)
+        law = elastic_law(problem, self._defaults.strength, self._defaults.mass, interval)
+        self._law: Feedback = lambda _, states: self._motions.evaluate("law", law, states)
         self.best: Candidate | None = None
         self._miss = np.inf  # residual of the best, in units of the tolerance
         self._stopped = ""
@@ -152,7 +153,6 @@ class _Method:
                     self._levels()[-1],
                 )
             if not self._stopped and self._miss > 1.0:
-                self._motions.law = self._law
                 self._try_all()
         except KeyboardInterrupt:
             self._stopped = _STOPS[STOPPED]
@@ -177,37 +177,44 @@ class _Method:
                     solver.samples,
                     solver.rounds,
                     random,
+                    self._law,
                 )
                 found = search.run(self._over)
                 if found[0].miss > 10.0 and len(levels) > 1 and not self._stopped:
                     levels.pop(0)  # these groups do not lead there
                     continue
                 for one in found[:2]:
-                    self._polish(one.whole, one.duration, directions)
+                    self._polish(one.whole, one.duration, directions, self._law)
                     if self._stopped or self._miss <= 0.5:
                         return
 
-    def _polish(self, wanted: Array, duration: float, directions: Array) -> None:
-        """Improve force densities by Gauss-Newton with finer and finer steps.
+    def _polish(
+        self, wanted: Array, duration: float, directions: Array, law: Feedback | None = None
+    ) -> None:
+        """Improve force densities by Gauss-Newton, and check them with finer steps.
 
-        They are `wanted` (K, α) for a duration [s], and change along `directions` (g, α) [N/m].
+        They are `wanted` (K, α) for a duration [s], to which the feedback `law` adds, and change
+        along `directions` (g, α) [N/m].
         """
-        misses = []
-        # the first round admits ten times the final speeds
-        for finer, speed in ((1, 10.0), (self._finer, 1.0), (2 * self._finer, 1.0)):
+        for finer in (self._finer, 2 * self._finer):
             descent = Descent(self._motions, directions, finer)
-            point, iterations = descent.run(
-                wanted, duration, speed, self._solver.iterations, self._over
-            )
+            point = descent.simulate(wanted[None], duration, law)[0]
+            self._keep(point, np.inf)
+            point, iterations = descent.run(point, self._solver.iterations, self._over)
             self._iterations += iterations
-            wanted, duration = point.wanted, point.duration
-            misses.append(point.worst)
-            if not point.worst < (30.0 if len(misses) == 1 else 2.0):
+            self._keep(point, np.inf)
+            wanted, duration, law = point.force_density, point.duration, None
+            if not point.worst < 2.0:
                 break
-        # Along unstable motions, steps of another length end elsewhere.
-        miss = max(
-            point.worst, descent.measure_finer(point, self._finer) if len(misses) == 3 else np.inf
-        )
+        else:
+            # Along unstable motions, steps of another length end elsewhere.
+            self._keep(point, max(point.worst, descent.measure_finer(point, self._finer)))
+
+    def _keep(self, point: Candidate, miss: float) -> None:
+        """Keep a candidate if it is the best so far.
+
+        `miss` is its largest residual, in units of the tolerance.
+        """
         if self.best is None or (miss, point.worst) < (self._miss, self.best.worst):
             self.best, self._miss = point, miss
 
@@ -295,7 +302,7 @@ def simulate_defaults(motions: BatchSimulation, given: SamplingDefaults) -> Cand
     problem = motions.problem
     wanted = np.tile(given.force_density, (len(motions.fractions), 1))
     gamma, states, _ = motions.roll(problem.initial_state[None], wanted[None], problem.longest)
-    return Candidate(wanted, problem.longest, gamma[0], states[0], np.full(1, np.inf))
+    return Candidate(problem.longest, gamma[0], states[0], np.full(1, np.inf))
 
 
 def _swing(given: SamplingDefaults, problem: Problem) -> float:

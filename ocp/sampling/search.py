@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ocp.sampling.batch_simulation import BatchSimulation, Watcher
+from ocp.sampling.batch_simulation import BatchSimulation, Feedback, Watcher
 from ocp.sampling.spline_noise import SplineNoise
 from tenscasadi.util.validate import Array
 
@@ -64,6 +64,8 @@ class Search:
         Number of knots of the splines in each leg.
     samples, rounds : int
         Number of simulations in a round, and of rounds in a leg.
+    law : Feedback
+        Feedback that stabilizes the simulations.
     """
 
     def __init__(
@@ -75,13 +77,10 @@ class Search:
         samples: int,
         rounds: int,
         random: np.random.Generator,
+        law: Feedback,
     ) -> None:
-        self._motions, self._nominal, self._directions, self._random = (
-            motions,
-            nominal,
-            directions,
-            random,
-        )
+        self._motions, self._nominal, self._directions = motions, nominal, directions
+        self._random, self._law = random, law
         # 1 if the limits leave no room
         self._room = float((directions**2).sum() / directions.shape[1]) or 1.0
         self._knots, self._samples, self._rounds = knots, max(4, samples // LINEAGES), rounds
@@ -169,7 +168,7 @@ class Search:
         )
         wanted = np.clip(self._nominal + basis @ tried, *motions.problem.force_density_limits)
         starts = np.repeat([one.start for one in lineages], size, axis=0)
-        gamma, states, costs = motions.roll(starts, wanted, duration, first)
+        gamma, states, costs = motions.roll(starts, wanted, duration, first, law=self._law)
         # positions first: velocities count little
         missed = motions.misses(states, duration, first, 50.0)
         if first + wanted.shape[1] == len(motions.fractions):

@@ -59,7 +59,8 @@ class Sampling(NamedSolver, kind="Sampling"):
     samples are drawn about it with less spread. In these simulations, strings are elastic and
     damped, because constant force densities may let a shape collapse. The plan contains the
     resulting force densities. Gauss-Newton then removes the residuals of goals and limits. Its
-    derivatives are finite differences of motions that are simulated in one batch.
+    derivatives are finite differences over single intervals. Its trial motions have feedback, which
+    computes the step anew from the state at each interval.
 
     Without a C++ compiler, motions are simulated one by one, more slowly, and `Plan.status` reports
     it.
