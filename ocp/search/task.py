@@ -19,6 +19,7 @@ from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import StateAt, Target
 from ocp.transcription.mesh import Profile, group_matrix
+from tenscasadi.structure.names import name_errors
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
 
@@ -52,6 +53,7 @@ class PlanningTask(NamedTuple):
     tracked: bool = False
 
 
+@name_errors
 def prepare(
     problem: Problem,
     control: Profile,

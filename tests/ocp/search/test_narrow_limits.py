@@ -171,3 +171,8 @@ def test_lower_limits_do_not_change_their_sign():
 def test_wide_limits_are_not_blamed():
     task = prepare(leaning(WIDE), ocp.PiecewiseConstant(), 0.01)
     assert explain_limits(task) == ""
+
+
+def test_limits_that_forbid_the_start_have_member_names():
+    with pytest.raises(ValueError, match=r"start: compression of bar 0 .* \(bar 0: mast\)"):
+        ocp.solve(leaning(WIDE, ocp.BarForceLimits(0.01)))
