@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.sparse import _sparsetools  # no public call multiplies a range of rows in place
+import scipy.sparse as sp
+import scipy.sparse.linalg
+from scipy.sparse import _sparsetools  # no public call multiplies in place
 
 from tenscasadi.util.validate import Array, Booleans, Indices
 
@@ -15,9 +17,9 @@ from tenscasadi.util.validate import Array, Booleans, Indices
 class Elimination:
     """Direct solver of a sparse linear system and its transpose.
 
-    The systems are A x = b and Aᵀ x = b. A is permuted to its finest block triangular form.
-    Diagonal blocks with equal sparsity are inverted in one batch. If a part of a block is constant,
-    only its Schur complement is inverted.
+    The systems are A x = b and Aᵀ x = b. A is permuted to its finest block triangular form. The
+    constant parts of diagonal blocks are factorized once, by sparse LU. Only their Schur
+    complements are inverted again, in one batch for all blocks of equal sparsity.
 
     Parameters
     ----------
@@ -44,274 +46,316 @@ class Elimination:
     def __init__(
         self, rows: Indices, columns: Indices, size: int, constant: Booleans, sample: Array
     ) -> None:
-        blocks = _order_blocks(rows, columns, *_find_blocks(rows, columns, size))
-        nothing = np.zeros(0, dtype=np.intp)
-        self.size = size
-        self.by_row = np.concatenate([nothing, *(block.rows for block in blocks)])
-        self.by_column = np.concatenate([nothing, *(block.columns for block in blocks)])
-        starts = np.cumsum([0, *(len(block.rows) for block in blocks)])
-        row, column = np.argsort(self.by_row)[rows], np.argsort(self.by_column)[columns]
-        own = np.searchsorted(starts, np.arange(size), side="right") - 1
-        inside = own[row] == own[column]
-        self._groups = _group_alike(
-            starts, own, row, column, np.flatnonzero(inside), constant, sample
+        of_row, of_column = _find_blocks(rows, columns, size)
+        self.by_row, self.by_column = (
+            np.argsort(block, kind="stable") for block in (of_row, of_column)
         )
-        self._steps = _find_steps([block.level for block in blocks], starts, self._groups)
-        rest = np.flatnonzero(~inside)
-        places = row[rest], column[rest]
-        ranges = [(step.start, step.end) for step in self._steps]
-        self._forward = _Substitution(*places, rest, size, ranges)
-        self._backward = _Substitution(*places[::-1], rest, size, ranges)
-        self._backward.steps.reverse()
+        row, column = np.argsort(self.by_row)[rows], np.argsort(self.by_column)[columns]
+        block = np.sort(of_row)
+        self._groups = _group_alike(block, row, column, constant, sample)
+        fixed_row, fixed_column = np.zeros((2, size), dtype=bool)
+        for group in self._groups:
+            fixed_row[group.places[:, group.one]] = True
+            fixed_column[group.places[:, group.ones]] = True
+        factors = _factorize(block, row, column, sample, fixed_row, fixed_column)
+        nothing = np.zeros(0, dtype=np.intp)
+        pairs = [(nothing, nothing), *(group.inverse_places() for group in self._groups)]
+        unknowns, rows = (np.concatenate(own) for own in zip(*pairs, strict=True))
+        self._forward = _Substitution(block, row, column, factors, (unknowns, rows))
+        back = -block, column, row, factors.transpose(), (rows, unknowns)
+        self._backward = _Substitution(*back)
 
     def factor(self, values: Array) -> None:
         """Factorize A with new values of its nonzeros."""
-        for group in self._groups:
-            group.take(values)
-        inverses = [step.group.inverse[step.ranks] for step in self._steps]
-        self._forward.take(values, inverses)
-        self._backward.take(values, [one.transpose(0, 2, 1) for one in inverses])
+        inverses = [group.invert(values).ravel() for group in self._groups]
+        numbers = np.concatenate([np.ones(1), values, *inverses])
+        self._forward.take(numbers)
+        self._backward.take(numbers)
 
     def solve(self, b: Array) -> Array:
-        """Solve A x = b in place, with b ordered by `by_row`."""
+        """Solve A x = b (n, r), with b ordered by `by_row`."""
         return self._forward.substitute(b)
 
     def solve_transposed(self, b: Array) -> Array:
-        """Solve Aᵀ x = b in place, with b ordered by `by_column`."""
+        """Solve Aᵀ x = b (n, r), with b ordered by `by_column`."""
         return self._backward.substitute(b)
-
-
-class _DefectBlock(NamedTuple):
-    """Diagonal block of the block triangular form.
-
-    Attributes
-    ----------
-    level : int
-        Number of its level. Blocks of one level do not depend on each other.
-    rows, columns : ndarray of int
-        Its rows and columns in the matrix.
-    """
-
-    level: int
-    rows: Indices
-    columns: Indices
 
 
 def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
     """Find the finest block triangular form of a sparse matrix.
 
     The matrix (size, size) has nonzeros at the given rows and columns. Returns the number of the
-    block of each row and of each column.
+    block of each row and of each column. Blocks depend on blocks with lower numbers.
     """
-    pattern = ca.Sparsity.triplet(size, size, rows.tolist(), columns.tolist())
+    # in this order, the matching of rows with columns rarely has to be changed
+    sparse_first = np.argsort(np.bincount(columns, minlength=size), kind="stable")
+    place = np.argsort(sparse_first)[columns]
+    pattern = ca.Sparsity.triplet(size, size, rows.tolist(), place.tolist())
     _, row_order, column_order, ends, column_ends, *_ = pattern.btf()
     if list(ends) != list(column_ends) or ends[-1] != size:
         raise ValueError("the rows do not determine the unknowns: the matrix is singular")
-    block = np.repeat(np.arange(len(ends) - 1), np.diff(ends))
+    count = len(ends) - 1
+    block = np.repeat(np.arange(count), np.diff(ends))
     of_row, of_column = np.empty(size, dtype=np.intp), np.empty(size, dtype=np.intp)
-    of_row[list(row_order)], of_column[list(column_order)] = block, block
-    return of_row, of_column
-
-
-def _order_blocks(
-    rows: Indices, columns: Indices, of_row: Indices, of_column: Indices
-) -> list[_DefectBlock]:
-    """Order diagonal blocks by dependence, then by sparsity.
-
-    Nonzeros are at the given rows and columns; `of_row` and `of_column` are the blocks of these.
-    Blocks of one level do not depend on each other. Those of equal sparsity become neighbors, which
-    one batched product solves.
-    """
-    widths = np.bincount(of_row)
-    count, ends = len(widths), np.append(0, np.cumsum(widths))
-    orders = [np.argsort(own, kind="stable") for own in (of_row, of_column)]
-    needs, given = np.divmod(np.unique(of_row[rows] * count + of_column[columns]), count)
+    of_row[list(row_order)], of_column[sparse_first[list(column_order)]] = block, block
+    later, earlier = np.divmod(np.unique(of_row[rows] * count + of_column[columns]), count)
+    later, earlier = later[later != earlier], earlier[later != earlier]
     level = np.zeros(count, dtype=np.intp)
-    while ((higher := np.where(needs != given, level[given] + 1, 0)) > level[needs]).any():
-        np.maximum.at(level, needs, higher)
-    inside = np.flatnonzero(of_row[rows] == of_column[columns])
-    row, column = (
-        np.argsort(order)[index[inside]] - ends[of[index[inside]]]
-        for order, index, of in zip(orders, (rows, columns), (of_row, of_column), strict=True)
-    )
-    own = of_row[rows[inside]]
-    sorting = np.lexsort((column, row, own))
-    cuts = np.searchsorted(own[sorting], np.arange(1, count))
-    places = np.split((row * len(of_row) + column)[sorting], cuts)
-    found = [
-        _DefectBlock(int(level[k]), *(order[ends[k] : ends[k + 1]] for order in orders))
-        for k in range(count)
-    ]
-    keys = [(int(level[k]), int(widths[k]), places[k].tobytes()) for k in range(count)]
-    return [found[k] for k in sorted(range(count), key=keys.__getitem__)]
-
-
-def _group_alike(
-    starts: Indices,
-    own: Indices,
-    row: Indices,
-    column: Indices,
-    entries: Indices,
-    constant: Booleans,
-    sample: Array,
-) -> list[_Group]:
-    """Group the diagonal blocks of equal sparsity.
-
-    `starts` (blocks + 1) are the first row of each block, then the number of rows. `own` (rows) is
-    the block of each row. `row` and `column` (nnz) are the places of all nonzeros, and `entries` the
-    indices of those inside diagonal blocks. `constant` (nnz) marks nonzeros that do not depend on
-    the variables, and `sample` (nnz) has the nonzeros at one point.
-    """
-    order = entries[np.lexsort((column[entries], row[entries], own[row[entries]]))]
-    alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
-    cuts = np.searchsorted(own[row[order]], np.arange(len(starts)))
-    for k, (start, end) in enumerate(pairwise(starts)):
-        part, width = order[cuts[k] : cuts[k + 1]], int(end - start)
-        places = (row[part] - start) * width + column[part] - start
-        _, members, found = alike.setdefault((width, places.tobytes()), (places, [], []))
-        members.append(k)
-        found.append(part)
-    return [
-        _Group(width, places, members, np.array(found), constant, sample)
-        for (width, _), (places, members, found) in alike.items()
-    ]
-
-
-class _Step(NamedTuple):
-    """Neighboring diagonal blocks that one batched product solves.
-
-    Attributes
-    ----------
-    start, end : int
-        First row, and the row after the last.
-    group : _Group
-        Group with the inverses of the blocks, at `ranks`.
-    """
-
-    start: int
-    end: int
-    group: _Group
-    ranks: slice
-
-
-def _find_steps(levels: list[int], starts: Indices, groups: list[_Group]) -> list[_Step]:
-    """Find the longest sequences of neighboring blocks.
-
-    Blocks of a sequence have the same level and sparsity. `levels` are those of the blocks,
-    `starts` their first rows and the end. `groups` are those of equal sparsity.
-    """
-    place = {k: (group, rank) for group in groups for rank, k in enumerate(group.members)}
-    steps, k = [], 0
-    while k < len(levels):
-        (group, rank), n = place[k], 1
-        while k + n < len(levels) and levels[k + n] == levels[k]:
-            if place[k + n] != (group, rank + n):
-                break
-            n += 1
-        steps.append(_Step(int(starts[k]), int(starts[k + n]), group, slice(rank, rank + n)))
-        k += n
-    return steps
-
-
-class _Substitution:
-    """Substitution with A or Aᵀ, step by step.
-
-    A (`size`, `size`) has its `entries` outside the diagonal blocks at (`row`, `column`). `ranges`
-    are the rows of each step.
-
-    Attributes
-    ----------
-    steps : list of (int, int, int, ndarray or None)
-        Index of the inverse, first row and the row after the last, and the places of the rows'
-        entries; None without entries.
-    """
-
-    def __init__(
-        self,
-        row: Indices,
-        column: Indices,
-        entries: Indices,
-        size: int,
-        ranges: list[tuple[int, int]],
-    ) -> None:
-        order = np.lexsort((column, row))
-        self.size, self.entries = size, entries[order]
-        self.columns = column[order].astype(np.int32)
-        starts = np.searchsorted(row[order], np.arange(size + 1)).astype(np.int32)
-        self.steps = [
-            (k, first, last, starts[first : last + 1] if starts[first] < starts[last] else None)
-            for k, (first, last) in enumerate(ranges)
-        ]
-
-    def take(self, values: Array, inverses: list[Array]) -> None:
-        """Store new values of the matrix.
-
-        `values` are all nonzeros; `inverses` are the inverse blocks (count, m, m) of each step.
-        """
-        self.values, self.inverses = -values[self.entries], inverses
-
-    def substitute(self, b: Array) -> Array:
-        """Solve for the right-hand side b (n, r), and overwrite b."""
-        r, flat, given = b.shape[1], b.reshape(-1), (self.columns, self.values)
-        vectors = () if r == 1 else (r,)
-        add = _sparsetools.csr_matvec if r == 1 else _sparsetools.csr_matvecs
-        for k, first, last, starts in self.steps:
-            own, inverse = flat[first * r : last * r], self.inverses[k]
-            if starts is not None:
-                add(last - first, self.size, *vectors, starts, *given, flat, own)
-            own[:] = np.matmul(inverse, own.reshape(len(inverse), inverse.shape[2], r)).reshape(-1)
-        return b
+    while (level[later] <= level[earlier]).any():
+        np.maximum.at(level, later, level[earlier] + 1)
+    rank = np.argsort(np.argsort(level, kind="stable"))
+    return rank[of_row], rank[of_column]
 
 
 class _Group:
-    """Diagonal blocks of equal sparsity, and their inverses.
+    """Diagonal blocks of equal sparsity, with a constant part and its Schur complement.
 
-    `members` are the numbers of the blocks (width, width). `places` are the positions of the
-    nonzeros in a block, row by row, and `entries` their indices among all nonzeros. `constant` and
-    `sample` are those of `Elimination`. Arrays of blocks have shape (count, m, m) with the width m.
+    `places` (count, m) are the indices of the blocks' rows and columns. `entries` (count, nnz) are
+    the indices of their nonzeros in A, which are at (`row`, `column`) (nnz,) in each block.
+    `constant` and `sample` are those of `Elimination`.
+
+    Attributes
+    ----------
+    one, ones : ndarray of bool, shape (m,)
+        Rows and columns of the constant part.
     """
 
     def __init__(
         self,
-        width: int,
         places: Indices,
-        members: list[int],
         entries: Indices,
+        row: Indices,
+        column: Indices,
         constant: Booleans,
         sample: Array,
     ) -> None:
-        self.places, self.members, self.entries = places, members, entries
-        self.inverse: Array = np.empty((len(members), width, width))
-        self.fixed: Array | None = None
-        filled, given = np.zeros((2, width, width), dtype=bool)
-        filled.ravel()[places], given.ravel()[places] = True, constant[entries].all(axis=0)
-        one, ones = given.any(axis=1), given.any(axis=0)
-        square = one.any() and not one.all() and one.sum() == ones.sum()
+        self.places, self._entries, self._row, self._column = places, entries, row, column
+        given = constant[entries].all(axis=0)
+        self.one, self.ones = np.zeros((2, places.shape[1]), dtype=bool)
+        self.one[row[given]], self.ones[column[given]] = True, True
         # the constant part: rows and columns whose common entries are all constant
-        if square and not (filled & ~given)[np.ix_(one, ones)].any():
-            self.one, self.other, self.ones, self.others = map(
-                np.flatnonzero, (one, ~one, ones, ~ones)
-            )
-            part = self._fill(sample)[:, self.one[:, None], self.ones]
-            if np.linalg.matrix_rank(part).min() == len(self.one):
-                self.fixed = np.asarray(np.linalg.inv(part), dtype=float)
+        size, sizes = self.one.sum(), self.ones.sum()
+        part = self._fill(sample, self.one, self.ones)
+        varies = (self.one[row] & self.ones[column] & ~given).any()
+        if varies or not 0 < size == sizes < places.shape[1] or _lacks_rank(part):
+            self.one[:], self.ones[:], part = False, False, part[:, :0, :0]
+        self._fixed = np.linalg.inv(part)
 
-    def _fill(self, values: Array) -> Array:
-        dense = np.zeros(self.inverse.shape)
-        dense.reshape(len(dense), -1)[:, self.places] = values[self.entries]
+    def inverse_places(self) -> tuple[Indices, Indices]:
+        """Find the unknowns and rows of A of all entries that `invert` computes."""
+        unknowns, rows = self.places[:, ~self.ones], self.places[:, ~self.one]
+        pairs = np.broadcast_arrays(unknowns[:, :, None], rows[:, None, :])
+        return pairs[0].ravel(), pairs[1].ravel()
+
+    def _fill(self, values: Array, rows: Booleans, columns: Booleans) -> Array:
+        """Build the dense part (count, ·, ·) of the blocks at the given rows and columns."""
+        own = np.flatnonzero(rows[self._row] & columns[self._column])
+        i, j = np.cumsum(rows)[self._row[own]] - 1, np.cumsum(columns)[self._column[own]] - 1
+        dense = np.zeros((len(self.places), rows.sum(), columns.sum()))
+        dense[:, i, j] = values[self._entries[:, own]]
         return dense
 
-    def take(self, values: Array) -> None:
-        """Invert the blocks with new values of the matrix nonzeros."""
-        D = self._fill(values)
-        if self.fixed is None:
-            self.inverse = np.asarray(np.linalg.inv(D), dtype=float)
-            return
-        one, other = self.one[:, None], self.other[:, None]
-        fixed_B, C_fixed = self.fixed @ D[:, one, self.others], D[:, other, self.ones] @ self.fixed
-        schur = np.linalg.inv(D[:, other, self.others] - D[:, other, self.ones] @ fixed_B)
-        right = fixed_B @ schur
-        self.inverse[:, self.ones[:, None], self.one] = self.fixed + right @ C_fixed
-        self.inverse[:, self.ones[:, None], self.other] = -right
-        self.inverse[:, self.others[:, None], self.one] = -schur @ C_fixed
-        self.inverse[:, self.others[:, None], self.other] = schur
+    def invert(self, values: Array) -> Array:
+        """Invert the Schur complements (count, r, r) with new values of the nonzeros of A."""
+        B, C, D = (
+            self._fill(values, rows, columns)
+            for rows, columns in (
+                (self.one, ~self.ones),
+                (~self.one, self.ones),
+                (~self.one, ~self.ones),
+            )
+        )
+        return np.asarray(np.linalg.inv(D - C @ (self._fixed @ B)), dtype=float)
+
+
+def _lacks_rank(matrices: Array) -> bool:
+    return bool((np.linalg.matrix_rank(matrices) < matrices.shape[1]).any())
+
+
+def _group_alike(
+    block: Indices, row: Indices, column: Indices, constant: Booleans, sample: Array
+) -> list[_Group]:
+    """Group the diagonal blocks of equal sparsity.
+
+    `block` (n,) is the block of each row and column, ascending. `row` and `column` (nnz) are the
+    places of all nonzeros. `constant` and `sample` are those of `Elimination`.
+    """
+    starts = np.searchsorted(block, np.arange(block.max(initial=-1) + 2))
+    inside = np.flatnonzero(block[row] == block[column])
+    order = inside[np.lexsort((column[inside], row[inside]))]
+    cuts = np.searchsorted(block[row[order]], np.arange(len(starts)))
+    alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
+    for (start, end), (a, b) in zip(pairwise(starts), pairwise(cuts), strict=True):
+        width, part = int(end - start), order[a:b]
+        places = (row[part] - start) * width + column[part] - start
+        _, firsts, found = alike.setdefault((width, places.tobytes()), (places, [], []))
+        firsts.append(start)
+        found.append(part)
+    return [
+        _Group(
+            np.array(firsts)[:, None] + np.arange(width),
+            np.array(found),
+            *np.divmod(places, width),
+            constant,
+            sample,
+        )
+        for (width, _), (places, firsts, found) in alike.items()
+    ]
+
+
+class _Factors(NamedTuple):
+    """Factors L D U of a matrix, with unit triangular L and U.
+
+    Attributes
+    ----------
+    at_row, at_column : ndarray of int, shape (n,)
+        Place of each row and column of A in the factors, −1 for those outside the matrix.
+    lower, upper : tuple of ndarray
+        Row, column and value of the entries of L and U off the diagonal.
+    pivots : ndarray
+        Diagonal of D.
+    """
+
+    at_row: Indices
+    at_column: Indices
+    lower: tuple[Indices, Indices, Array]
+    pivots: Array
+    upper: tuple[Indices, Indices, Array]
+
+    def transpose(self) -> _Factors:
+        """Build the factors of the transpose."""
+        (i, j, own), (p, q, more) = self.lower, self.upper
+        return _Factors(self.at_column, self.at_row, (q, p, more), self.pivots, (j, i, own))
+
+
+def _factorize(
+    block: Indices,
+    row: Indices,
+    column: Indices,
+    values: Array,
+    fixed_row: Booleans,
+    fixed_column: Booleans,
+) -> _Factors:
+    """Factorize parts of the diagonal blocks.
+
+    They are at the rows `fixed_row` (n,) and columns `fixed_column` (n,). The nonzeros `values` of
+    the whole matrix are at (`row`, `column`), and `block` (n,) is the block of each row and column.
+    """
+    at_row, at_column = np.full((2, len(block)), -1)
+    own = (block[row] == block[column]) & fixed_row[row] & fixed_column[column]
+    i, j = np.cumsum(fixed_row)[row[own]] - 1, np.cumsum(fixed_column)[column[own]] - 1
+    n = int(fixed_row.sum())
+    if not n:
+        nothing = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0)
+        return _Factors(at_row, at_column, nothing, np.zeros(0), nothing)
+    found = scipy.sparse.linalg.splu(sp.csc_array((values[own], (i, j)), shape=(n, n)))
+    at_row[fixed_row], at_column[fixed_column] = found.perm_r, found.perm_c
+    pivots = found.U.diagonal()
+    lower, upper = sp.coo_array(sp.tril(found.L, -1)), sp.coo_array(sp.triu(found.U, 1))
+    lower.eliminate_zeros()
+    upper.eliminate_zeros()
+    return _Factors(
+        at_row,
+        at_column,
+        (*lower.coords, lower.data),
+        pivots,
+        (*upper.coords, upper.data / pivots[upper.coords[0]]),
+    )
+
+
+class _Substitution:
+    """Substitution with A, as one product with a unit triangular matrix.
+
+    A diagonal block of A has the constant part M = L D U beside B, above C. S is the Schur
+    complement of M. With the right-hand sides f and g of a block, minus the terms of earlier
+    blocks, the product computes, row by row,
+
+        a = L⁻¹ f, c = U⁻¹ D⁻¹ a, s = g − C c, y = S⁻¹ s, d = −L⁻¹ B y, x = U⁻¹ D⁻¹ (a + d).
+
+    The unknowns of the block are x and y. `block` (n,) is the rank of the block of each row and
+    column. `row` and `column` (nnz,) are the places of the nonzeros, and `factors` those of all M.
+    S⁻¹ has entries at the columns and rows `inverse_places` of A.
+    """
+
+    def __init__(
+        self,
+        block: Indices,
+        row: Indices,
+        column: Indices,
+        factors: _Factors,
+        inverse_places: tuple[Indices, Indices],
+    ) -> None:
+        n, m = len(block), len(factors.pivots)
+        at_row, at_column = factors.at_row, factors.at_column
+        # numbers of the rows a, c, d, x (m each), s and y (n each)
+        given = np.where(at_row >= 0, at_row, 4 * m + np.arange(n))
+        found = np.where(at_column >= 0, 3 * m + at_column, 4 * m + n + np.arange(n))
+        position = _order_rows(block, at_row, at_column, m)
+        inside = block[row] == block[column]
+        of_row, of_column = inside & (at_row[row] >= 0), inside & (at_column[column] >= 0)
+        used = np.flatnonzero(~inside | (of_row != of_column))
+        to = np.where(of_row, 2 * m + at_row[row], given[row])[used]
+        by = np.where(of_column, m + at_column[column], found[column])[used]
+        k, (i, j, lower), (p, q, upper) = np.arange(m), factors.lower, factors.upper
+        unknowns, rows = inverse_places
+        parts = [
+            (to, by, np.full(len(used), -1.0)),
+            (found[unknowns], given[rows], np.ones(len(rows))),
+            *((i + shift, j + shift, -lower) for shift in (0, 2 * m)),
+            *((p + shift, q + shift, -upper) for shift in (m, 3 * m)),
+            *((k + b * m, k + a * m, 1 / factors.pivots) for a, b in ((0, 1), (0, 3), (2, 3))),
+        ]
+        rows, columns, weights = (np.concatenate(each) for each in zip(*parts, strict=True))
+        sources = np.zeros(len(rows), dtype=np.intp)
+        inverse = 1 + len(row) + np.arange(len(unknowns))
+        sources[: len(used) + len(unknowns)] = np.append(1 + used, inverse)
+        rows, columns = position[rows], position[columns]
+        order = np.lexsort((columns, rows))
+        self._weights, self._sources = weights[order], sources[order]
+        self._columns = columns[order].astype(np.int32)
+        self._size = int(position.max(initial=-1)) + 1
+        self._starts = np.searchsorted(rows[order], np.arange(self._size + 1)).astype(np.int32)
+        self._given, self._found = position[given], position[found]
+
+    def take(self, numbers: Array) -> None:
+        """Store new values: 1, the nonzeros of A, and the entries of the inverses."""
+        self._values = self._weights * numbers[self._sources]
+
+    def substitute(self, b: Array) -> Array:
+        """Solve for the right-hand side b (n, r)."""
+        x, most = np.empty(b.shape), 64  # columns at once: more leave the cache
+        size, matrix = self._size, (self._starts, self._columns, self._values)
+        space = np.empty(size * min(most, b.shape[1]))  # one for all, as fresh memory is slow
+        for first in range(0, b.shape[1], most):
+            own = b[:, first : first + most]
+            flat = space[: size * own.shape[1]]
+            rows = flat.reshape(size, -1)
+            rows[:] = 0.0
+            rows[self._given] = own
+            # in place: earlier rows are results already
+            if own.shape[1] == 1:
+                _sparsetools.csr_matvec(size, size, *matrix, flat, flat)
+            else:
+                _sparsetools.csr_matvecs(size, size, own.shape[1], *matrix, flat, flat)
+            x[:, first : first + most] = rows.take(self._found, axis=0)
+        return x
+
+
+def _order_rows(block: Indices, at_row: Indices, at_column: Indices, count: int) -> Indices:
+    """Order the rows of a substitution so that each depends on earlier ones.
+
+    `block`, `at_row` and `at_column` (n,) are those of `_Substitution` and `_Factors`, and `count`
+    is the number of rows of the constant parts. Returns the place of each row, −1 for unused ones.
+    """
+    own, k = np.flatnonzero(at_row >= 0), np.arange(count)
+    of_factors = np.empty(count, dtype=np.intp)
+    of_factors[at_row[own]] = block[own]
+    n = np.arange(len(block))
+    blocks = np.concatenate([*[of_factors] * 4, block, block])
+    stages = np.repeat([0, 1, 4, 5, 2, 3], [*[count] * 4, len(n), len(n)])
+    ranks = np.concatenate([k, -k, k, -k, n, n])
+    used = np.concatenate([np.ones(4 * count, dtype=bool), at_row < 0, at_column < 0])
+    order = np.lexsort((ranks, stages, blocks))
+    place = np.full(len(order), -1)
+    place[order[used[order]]] = np.arange(int(used.sum()))
+    return place

@@ -49,7 +49,7 @@ def test_solutions_are_those_of_dense_matrices(seed, stages, width, columns):
         A = np.where(constant | (A == 0), A, A * rng.uniform(0.9, 1.1, A.shape))
 
 
-def test_blocks_of_two_patterns_take_two_steps():
+def test_blocks_of_two_patterns_form_two_groups():
     """Two cycles of five unknowns, each with one more entry, in turns on the diagonal."""
     cycle = np.eye(5) + np.roll(np.eye(5), 1, axis=1)
     above, below = cycle.copy(), cycle.copy()
@@ -57,7 +57,7 @@ def test_blocks_of_two_patterns_take_two_steps():
     A = block_diag(above, below, above, below)
     rows, columns = np.nonzero(A)
     own = Elimination(rows, columns, len(A), np.zeros(len(rows), dtype=bool), A[rows, columns])
-    assert len(own._steps) == 2
+    assert len(own._groups) == 2
 
 
 def test_singular_patterns_are_rejected():
