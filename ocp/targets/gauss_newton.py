@@ -215,6 +215,8 @@ def solve_quadratics(c: Array, b: Array, K: Array, starts: Array) -> tuple[Array
     eye = np.eye(d.shape[1])
     damping = 1e-3 * np.maximum((J**2).sum(axis=1).max(axis=1), 1e-300)
     for _ in range(MAX_TRIALS):
+        # less than the rounding of JᵀJ would leave H singular
+        damping = np.maximum(damping, ROUNDING * (J**2).sum(axis=1).max(axis=1))
         slope = (r[:, None] @ J)[:, 0]
         H = J.transpose(0, 2, 1) @ J + damping[:, None, None] * eye
         step = -np.linalg.solve(H, slope[:, :, None])[:, :, 0]

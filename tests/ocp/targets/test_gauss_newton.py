@@ -32,3 +32,17 @@ def test_quadratics_are_solved_as_by_scipy(seed):
             lambda d: 1 + b[:1] @ d + np.einsum("jkl,k,l->j", definite, d, d) / 2, d
         )
         assert cost == pytest.approx(exact.cost, rel=1e-3)
+
+
+@pytest.mark.parametrize("normal", [(2.0, -1.0), (1.0, 1.0), (3.0, 1.0, -2.0)])
+def test_steps_from_nearly_zero_gradients_are_finite(normal):
+    """The Jacobian grows from rounding and has rank one."""
+    normal = np.array(normal)
+    K = np.outer(normal, normal)[None]
+    across = np.linalg.svd(normal[None])[2][1:]  # K is zero along these
+    for gradient in np.logspace(-16, -6, 41):
+        for c in np.logspace(-4, 0, 9):
+            costs, found = solve_quadratics(np.array([-c]), gradient * normal[None], K, across)
+            r = -c + gradient * found @ normal + (found @ normal) ** 2 / 2
+            np.testing.assert_allclose(costs, r**2 / 2, atol=1e-14)
+            assert (costs <= 0.51 * c**2).all()
