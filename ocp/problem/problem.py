@@ -55,7 +55,8 @@ class Problem(Value, kind="Problem"):
     start : array_like of shape (n, 3) or (nx,), or FreeStart, optional
         Initial nodes at rest [m], or initial state. None for the model's initial state;
         ``FreeStart(...)`` to let the solver choose. It is projected onto the constraints of bars
-        and joints, which corrects rounding.
+        and joints, which corrects rounding. `dataclasses.replace` keeps it, also for another model:
+        give ``start=None`` for that of the model.
     goals : iterable of goals, optional
         Terminal constraints, such as `StringLengths`, `NodePositions`, `NodeVelocities`,
         `CenterOfMass`, `Shape`, `AtRest` and `Periodic`. A `Waypoint` has goals at another instant.

@@ -89,6 +89,17 @@ def _read_state(model: Model, field: str, given: ArrayLike | None) -> Array:
     """
     if given is None:
         return model.initial_state
+    try:
+        return _check_state(model, field, given)
+    except ValueError as error:  # such as a start of another model, which dataclasses.replace keeps
+        name = field.rpartition(".")[2]
+        raise ValueError(
+            f"{error}, or {name}=None, which is the initial state of the model"
+        ) from None
+
+
+def _check_state(model: Model, field: str, given: ArrayLike) -> Array:
+    """Read nodes or a state as `_read_state` does, and project it onto the constraints."""
     if nesting(given) == 1:
         state = finite_array(field, given, (model.nx,))
     else:

@@ -182,7 +182,12 @@ def number_or_vector(field: str, value: Any) -> Array:
 
     The result is an array. Messages name `field`.
     """
-    return finite_array(field, value, (None,) if nesting(value) else ())
+    if nesting(value):
+        return finite_array(field, value, (None,))
+    try:
+        return finite_array(field, value, ())
+    except TypeError as error:  # such as a mapping by name
+        raise TypeError(f"{error}, or a list of numbers") from None
 
 
 def coordinates(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -95,6 +97,18 @@ BAD = {
         lambda: problem(start=bad_nodes()),
         ValueError,
         "Problem.start makes bar 0",
+    ),
+    "start of a model with other bars": (
+        lambda: replace(
+            problem(), model=tc.Model(replace(FORCED, structure=tc.shapes.prism(height=2.0)))
+        ),
+        ValueError,
+        r"Problem.start makes bar 0 .* m long, .* or start=None, .* of the model$",
+    ),
+    "start of a model with more bars": (
+        lambda: replace(problem(), model=tc.Model(replace(FORCED, structure=tc.shapes.prism(4)))),
+        ValueError,
+        r"Problem.start has shape \(36,\): .* or start=None, .* of the model$",
     ),
     "start that stretches bars": (
         lambda: problem(start=stretching()),

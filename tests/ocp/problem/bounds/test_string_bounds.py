@@ -122,6 +122,11 @@ BAD = {
         TypeError,
         "ForceDensityLimits.upper is not a real number",
     ),
+    "limit by name": (
+        lambda: ocp.ForceDensityLimits({"guy": 0.5}),
+        TypeError,
+        "ForceDensityLimits.lower is not a real number .* give one number, or a list of numbers$",
+    ),
     "limits in words": (
         lambda: ocp.ForceDensityLimits(0.0, ["200"] * 9),
         TypeError,
