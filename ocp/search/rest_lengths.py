@@ -102,8 +102,10 @@ def limit_instants(problem: Problem, twin: Problem) -> Problem | None:
         margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
         bounds = [bound for bound in bounds if not isinstance(bound, RestLengthRateLimits)]
         bounds.append(RestLengthSpeeds((1 - margin) * rates))
-    slack = [parent[which] for law, which in scene.string_laws if not law.pushes]
-    damping = np.where(np.isin(np.arange(len(rates)), np.hstack(slack)), structure.damping, 0.0)
+    damping = np.array(structure.damping)
+    for law, which in scene.string_laws:
+        if law.pushes:
+            damping[parent[which]] = 0.0
     if damping.any():
         bounds.append(TautStrings(damping))
     return None if bounds == list(twin.bounds) else replace(twin, bounds=bounds)

@@ -25,7 +25,7 @@ from ocp.solvers.base import Outcome
 from ocp.transcription.mesh import PiecewiseConstant
 
 
-def stiff(stiffness, *bounds, damping=1e-3, **changes):
+def stiff(stiffness, *bounds, damping=1e-3, slack=None, **changes):
     """The prism grows by 5 cm; damping is in units of the stiffness."""
     low = prism(1.0, stiffness=stiffness, damping=damping * stiffness, prestress=50.0)
     given = {
@@ -34,7 +34,8 @@ def stiff(stiffness, *bounds, damping=1e-3, **changes):
         "costs": [ocp.Effort()],
         **changes,
     }
-    return ocp.Problem(tc.Model(tc.Scene(low, control=tc.RestLength())), **given)
+    scene = tc.Scene(low, control=tc.RestLength(), slack=slack or tc.Clip())
+    return ocp.Problem(tc.Model(scene), **given)
 
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e5])
@@ -109,6 +110,20 @@ def test_warm_start_repeats_the_plan_in_force_densities(rate):
     assert warm.success, warm.message
     assert warm.iterations < cold.iterations
     assert warm.objective == pytest.approx(cold.objective, rel=1e-3)
+
+
+def test_strings_that_carry_compression_need_not_be_taut():
+    """A repeated plan in force densities keeps none of them longer than its rest length."""
+    first = ocp.solve(stiff(1e4, slack=tc.Linear()))
+    assert "in force densities" in first.message
+    again = first.replan()
+    assert again.success, again.message
+    assert again.objective == pytest.approx(first.objective, rel=1e-3)
+
+    law = {k: tc.Linear() for k in range(8)}
+    problem = stiff(1e4, slack=law)
+    limited = limit_instants(problem, build_force_density_problem(problem))
+    assert limited.bounds[-1].damping.tolist() == [0.0] * 8 + [10.0]
 
 
 @pytest.mark.parametrize("parts", [1, 3, 7])
