@@ -280,7 +280,7 @@ class Plan(PlanResult, Viewable, form="tenscasadi plan 1", title="plan"):
             raise TypeError(f"replan has no argument {unknown[0]!r}: give a field of ocp.Problem")
         if tolerance is not None:
             positive_number("tolerance", tolerance)
-        problem = replace(self._require_problem("replan needs"), **changes)
+        problem = Problem(**{**self._require_problem("replan needs").given, **changes})
         if parameters is not None:
             problem = problem.with_parameters(parameters)
         monitor = build_monitor(time_limit, progress)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -123,7 +123,11 @@ class Problem(Value, kind="Problem"):
 
     @name_errors
     def __post_init__(self) -> None:
-        given = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
+        arguments = {field.name: getattr(self, field.name) for field in fields(self) if field.init}
+        given: dict[str, Any] = {  # iterators are read once
+            name: tuple(value) if isinstance(value, Iterator) else value
+            for name, value in arguments.items()
+        }
         resolved = {**resolve(**given)._asdict(), "parameters": None, "given": given}
         vars(self).update(resolved)
 

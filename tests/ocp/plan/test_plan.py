@@ -330,6 +330,32 @@ def test_replan_rejects_unknown_changes(plan, changes, error, message):
         plan.replan(**changes)
 
 
+def test_replan_changes_parameters_repeatedly():
+    """Each plan keeps the parameters and other changes of the previous one."""
+    scene = tc.Scene(
+        tc.shapes.d_bar(), control=tc.ForceDensity(), parameters=tc.Parameters("bar_mass")
+    )
+    goals = [ocp.StringLengths(tc.shapes.d_bar(angle=0.7).string_lengths), ocp.AtRest()]
+    costs = [ocp.Effort()]
+    problem = ocp.Problem(tc.Model(scene), goals=iter(goals), costs=iter(costs))
+    first = ocp.solve(problem, ocp.Variational(6))
+    heavy = first.replan(parameters={"bar_mass": 2.0}).replan(duration=1.1)
+    assert heavy.success, heavy.message
+    assert heavy.problem.model.structure.bar_mass.tolist() == [2.0] * 4
+    assert (heavy.problem.goals, heavy.problem.costs) == (tuple(goals), tuple(costs))
+    heavier = heavy.replan(parameters={"bar_mass": 4.0})
+    assert heavier.success, heavier.message
+    assert heavier.time[-1] == pytest.approx(1.1)
+    assert heavier.objective == pytest.approx(4 * heavy.objective, rel=1e-3)
+
+
+def test_replan_starts_another_model_at_its_own_state(plan):
+    other = tc.Model(replace(plan.model.scene, structure=plan.structure.replace(bar_mass=2.0)))
+    again = plan.replan(model=other)
+    assert again.success, again.message
+    assert again.problem.start == pytest.approx(other.initial_state)
+
+
 def test_replan_needs_the_problem(plan):
     with pytest.raises(ValueError, match="replan needs the problem, which the plan does not hold"):
         replace(plan, problem=None).replan()
