@@ -15,7 +15,7 @@ from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
 from ocp.results.diagnosis import find_long_steps, interpolate_plan
 from ocp.results.error_growth import UNSTABLE
-from ocp.results.report import report_of, violated_limits
+from ocp.results.report import Finding, report_of, violated_limits
 from ocp.results.result import PlanResult, Replayed
 from ocp.results.terminal_limits import measure_terminal_limits
 from ocp.solvers.base import Outcome
@@ -170,7 +170,8 @@ def assess_plan(
         replay_speed_error=counts.velocity,
         open_loop_error=open_loop.worst(duration),
     )
-    kept = found.success or found.coarse or not _violated(plan)
+    broken = _find_violated(plan)
+    kept = found.success or found.coarse or not broken
     good = counts.worst(duration) <= tolerance and kept
     overload = _describe_overload(scene, counts.motion)
     success = good and not overload
@@ -189,6 +190,8 @@ def assess_plan(
         ends += f"; it counts, as {reason}; {open_loop.describe('open-loop replay', True)}"
         ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)" * success
     beyond = _describe_violation(plan, counts.motion) if success else ""
+    if success and broken and not beyond:  # as strings go slack, unlike in the nonlinear program
+        beyond = f"the plan violates {broken[0]}: see report()"
     parts = verdict, found.imposed, ends, overload, beyond
     planned = replace(plan.trajectory, success=plan.trajectory.success or success)
     message = "; ".join(part for part in parts if part)
@@ -236,11 +239,11 @@ def find_missed_goal(plan: PlanResult, target: Target, tolerance: float) -> str:
     return "" if errors.rows.max(initial=0.0) <= tolerance else errors.worst
 
 
-def _violated(plan: PlanResult) -> bool:
-    """Return whether the planned trajectory violates a limit."""
-    return plan.problem is not None and bool(
-        violated_limits(plan.problem, plan.time, plan.trajectory.states, plan.control)
-    )
+def _find_violated(plan: PlanResult) -> tuple[Finding, ...]:
+    """Find the limits that the planned trajectory violates at mesh points."""
+    if plan.problem is None:
+        return ()
+    return violated_limits(plan.problem, plan.time, plan.trajectory.states, plan.control)
 
 
 def describe_growth(plan: PlanResult, tolerance: float) -> str:
