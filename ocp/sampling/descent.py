@@ -111,15 +111,19 @@ class Descent:
         return point, iterations
 
     def measure_finer(self, point: Candidate, finer: int) -> float:
-        """Compute the largest residual of the goals in a simulation with finer steps.
+        """Compute the largest residual of the end in a simulation with finer steps.
 
-        The candidate `point` is simulated with `finer` times as many steps. The residual is
-        relative to its tolerance, and inf if the simulation diverges.
+        The candidate `point` is simulated with `finer` times as many steps. The residual of a goal
+        or a terminal limit is relative to its tolerance, and inf if the simulation diverges.
         """
         motions = self._motions
         start = motions.problem.initial_state[None]
-        states = motions.roll(start, point.force_density[None], point.duration, finer=finer)[1]
-        missed = motions.misses(states, point.duration)
+        gamma, states, _ = motions.roll(
+            start, point.force_density[None], point.duration, finer=finer
+        )
+        over = motions.excess(states, gamma, point.duration, last_only=True)
+        over *= motions.scales.length / motions.place  # as for goals
+        missed = np.concatenate([motions.misses(states, point.duration), over], axis=1)
         return float(np.abs(missed).max(initial=0.0)) if np.all(np.isfinite(missed)) else np.inf
 
     def simulate(
