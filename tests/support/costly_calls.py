@@ -186,6 +186,14 @@ def planning_calls() -> dict[str, Call]:
         ),
         "Plan.replay, tracked": (short_plan().replay, {"tracked": True}),
         "Plan.refine": (short_plan().refine, {"tolerance": 0.1, "attempts": 1}),
+        "Plan.replan": (
+            short_plan().replan,
+            {"duration": 1.0, "tolerance": 0.1, "time_limit": 1.0, "costs": [ocp.Effort()]},
+        ),
+        "Plan.replan, at values": (
+            weighed().replan,
+            {"parameters": {"bar_mass": [1.1, 1.0, 1.0, 1.0]}, "time_limit": 1.0},
+        ),
         "Mpc": (
             ocp.Mpc,
             {
