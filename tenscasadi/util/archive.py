@@ -7,6 +7,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from tenscasadi.util.whole_file import whole_file
 T = TypeVar("T")
 _UNREADABLE = (
     *(LookupError, ArithmeticError, RuntimeError, MemoryError, AttributeError, SyntaxError),
-    *(OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error),
+    *(OSError, ValueError, TypeError, EOFError, TokenError, zipfile.BadZipFile, zlib.error),
 )  # errors that reading a damaged or foreign archive may raise
 
 
