@@ -31,6 +31,7 @@ Replay = Callable[[PlanResult, bool], Replayed | None]
 
 RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 UNFINISHED = "its replay was not finished in time"
+NO_PLAN = "no plan: "  # start of the message of a search without a result
 
 
 class ReplayMeasures(NamedTuple):
@@ -177,7 +178,7 @@ def assess_plan(
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
     if good and overload:
-        verdict, overload = f"no plan: {overload}", ""
+        verdict, overload = f"{NO_PLAN}{overload}", ""
     elif good:
         verdict = _accepted(found)
     elif counts.note == UNFINISHED and (found.success or found.coarse):
@@ -289,7 +290,7 @@ def _accepted(found: Outcome) -> str:
 
 def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, missed: str) -> str:
     if not (found.success or found.coarse):
-        return f"no plan: {found.why}"
+        return f"{NO_PLAN}{found.why}"
     text = f"a plan was found after {found.iterations} iterations, but its {name} misses by"
     text = f"{text} more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
     if found.coarse:

@@ -193,12 +193,12 @@ class Descent:
         )
         used = np.flatnonzero(point.rows)
         at_points, by_control = self._row_slopes(point, used)
-        nodes = np.eye(nx + 1)[None].repeat(len(over_interval), 0)
-        nodes[:, :nx] = over_interval[..., : nx + 1]
-        by_state, later = np.empty((len(nodes), len(used), nx + 1)), at_points[-1]
-        for k in range(len(nodes) - 1, -1, -1):
+        transitions = np.eye(nx + 1)[None].repeat(len(over_interval), 0)
+        transitions[:, :nx] = over_interval[..., : nx + 1]
+        by_state, later = np.empty((len(transitions), len(used), nx + 1)), at_points[-1]
+        for k in range(len(transitions) - 1, -1, -1):
             by_control[:, k] += later[:, :nx] @ over_interval[k][:, nx + 1 :]
-            later = at_points[k] + later @ nodes[k]
+            later = at_points[k] + later @ transitions[k]
             by_state[k] = later
         by_control = motions.gather_spans(by_control)
         r = point.rows[used]

@@ -15,7 +15,7 @@ import numpy as np
 from ocp.guess.initial_guess import InitialGuess
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import RELIABLE, assess_plan
+from ocp.results.acceptance import NO_PLAN, RELIABLE, assess_plan
 from ocp.results.diagnosis import interpolate_plan
 from ocp.results.result import PlanResult, Replayed
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
@@ -174,13 +174,14 @@ def _walk(
 def _explain(task: PlanningTask, plan: PlanResult) -> str:
     """Complete the message of a failed plan.
 
-    Names of members are added. Limits that are too narrow come first, as they are the cause.
+    Names of members are added. Where no method found a motion, limits that are too narrow come
+    first, as they are the cause.
     """
     text = add_names(plan.message, task.problem.model.scene.structure)
-    if plan.duals is not None or task.monitor.status():
+    if not text.startswith(NO_PLAN) or plan.duals is not None or task.monitor.status():
         return text
     limits = explain_limits(task)
-    return text.replace("no plan: ", f"no plan: {limits}; ", 1) if limits else text
+    return f"{NO_PLAN}{limits}; {text.removeprefix(NO_PLAN)}" if limits else text
 
 
 def _worth(plan: PlanResult) -> tuple[bool, bool, float]:
@@ -202,7 +203,7 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     outcome, target = run_attempt(task, attempt)
     plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
     if target is None:
-        return replace(plan, message=f"no plan: {outcome.why}"), task.target
+        return replace(plan, message=f"{NO_PLAN}{outcome.why}"), task.target
     other = None if attempt.twin else _find_other_target(task, plan, outcome)
     if other is not None:
         again = task._replace(target=other)

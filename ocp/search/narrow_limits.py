@@ -78,7 +78,8 @@ def _describe(one: WiderLimit, structure: Structure) -> str:
 def _explain_duration(task: PlanningTask, control: Profile, solver: Ipopt) -> str:
     """Explain whether a longer duration satisfies the limits.
 
-    `solver` searches for the shortest one, with the profile `control`. Returns "" if the search is impossible or not completed.
+    `solver` searches for the shortest one, with the profile `control`. Returns "" if the search is
+    impossible or not completed.
     """
     if task.monitor.status():
         return ""

@@ -71,8 +71,8 @@ class Outcome(NamedTuple):
     coarse : bool
         Whether it fails only because the states are less accurate than requested.
     finer : callable or None
-        Function that returns the same motion with rest lengths at the most times. Between them rest
-        lengths are linear, which makes elastic strings vibrate. None if the control is not converted.
+        Function that returns the same motion with rest lengths at the most times. In between, rest
+        lengths are linear, which makes elastic strings vibrate. None if no other motion is known.
     """
 
     states: Array

@@ -252,8 +252,8 @@ class _Relaxations(NamedTuple):
 def _find_relaxations(blocks: Sequence[Block]) -> tuple[_Relaxations, list[Indices]]:
     """Assign relaxation variables to the limits of blocks.
 
-    The last variable is fixed at 0, for limits that are not relaxed. Also returns the index of the variable of each lower and upper limit (2, count,
-    rows), for each block.
+    The last variable is fixed at 0, for limits that are not relaxed. Also returns, for each block,
+    the index of the variable of each lower and upper limit (2, count, rows).
     """
     keys: dict[tuple[str, str, float], int] = {}
     groups = [_group_limits(block, keys) for block in blocks]
