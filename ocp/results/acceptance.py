@@ -13,7 +13,7 @@ import numpy as np
 
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
-from ocp.results.diagnosis import find_long_steps, interpolate_plan
+from ocp.results.diagnosis import explain_undefined, find_long_steps, interpolate_plan
 from ocp.results.error_growth import UNSTABLE
 from ocp.results.report import Finding, report_of, violated_limits
 from ocp.results.result import PlanResult, Replayed
@@ -147,8 +147,9 @@ def assess_plan(
     waypoints and terminal limits within the tolerance, and the plan all limits. Convergence of the
     solver is not required. By default the open-loop replay counts. The replay under the feedback of
     `track` counts instead if `tracked` is True, or if errors grow so fast that no open-loop
-    simulation follows the plan, see `describe_growth`. `scene` is that of the user's problem, whose
-    strings can break or yield. Returns the plan with its errors, success and message.
+    simulation follows the plan, see `describe_growth`. The objective has to be finite, unlike that
+    of a guess, with which an early stop ends. `scene` is that of the user's problem, whose strings
+    can break or yield. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -173,7 +174,7 @@ def assess_plan(
     )
     broken = _find_violated(plan)
     kept = found.success or found.coarse or not broken
-    good = counts.worst(duration) <= tolerance and kept
+    good = counts.worst(duration) <= tolerance and kept and bool(np.isfinite(found.objective))
     overload = _describe_overload(scene, counts.motion)
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
@@ -291,6 +292,8 @@ def _accepted(found: Outcome) -> str:
 def _rejected(plan: PlanResult, found: Outcome, tolerance: float, name: str, missed: str) -> str:
     if not (found.success or found.coarse):
         return f"{NO_PLAN}{found.why}"
+    if not np.isfinite(found.objective):
+        return f"{NO_PLAN}{explain_undefined('the sum of Problem.costs')}"
     text = f"a plan was found after {found.iterations} iterations, but its {name} misses by"
     text = f"{text} more than {tolerance:.2g} m (or {tolerance:.2g} m per duration)"
     if found.coarse:

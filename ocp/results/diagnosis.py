@@ -190,24 +190,25 @@ def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) ->
     if all are finite.
     """
     if not np.all(np.isfinite(g)):
-        return _cure(program.names[int(np.argmax(~np.isfinite(g)))])
+        return explain_undefined(program.names[int(np.argmax(~np.isfinite(g)))])
     if not np.all(np.isfinite(f)):
-        return _cure("the sum of Problem.costs")
+        return explain_undefined("the sum of Problem.costs")
     if solution.status != "Invalid_Number_Detected":
         return ""
     derivatives = program.derivatives()
     slope = derivatives["nlp_grad_f"](solution.w, [])[1].full().ravel()
     if not np.all(np.isfinite(slope)):
         name = program.w_names[int(np.argmax(~np.isfinite(slope)))]
-        return _cure(f"the derivative of Problem.costs by {name}")
+        return explain_undefined(f"the derivative of Problem.costs by {name}")
     J = derivatives["nlp_jac_g"](solution.w, [])[1]
     bad = np.flatnonzero(~np.isfinite(np.asarray(J.nonzeros())))
     if not bad.size:
         return ""
-    return _cure(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}")
+    return explain_undefined(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}")
 
 
-def _cure(name: str) -> str:
+def explain_undefined(name: str) -> str:
+    """Explain that a quantity is not a number, with a cure."""
     cure = (
         "give more intervals or substeps"
         if "dynamics" in name

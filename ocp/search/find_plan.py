@@ -228,8 +228,8 @@ def _try(search: _PlanSearch, attempt: Attempt) -> tuple[PlanResult, Target | No
     solved = outcome.success or outcome.coarse
     if solved and not plan.success and outcome.finer and not task.monitor.status():
         outcome = outcome.finer()
-        plan = record_plan(task, attempt.transcription, attempt.solver, outcome)
-        plan = assess_plan(plan, target, outcome, *options)
+        finer = record_plan(task, attempt.transcription, attempt.solver, outcome)
+        plan = max(plan, assess_plan(finer, target, outcome, *options), key=_worth)
     if attempt.twin and not plan.success:  # it is an optimum of the twin only
         plan = replace(plan, duals=None)
     return plan, task.target

@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
-from planning import raising
+from planning import folding, raising
 
 import ocp
 from ocp.problem.scaling import Scales
@@ -16,6 +17,8 @@ from ocp.results.diagnosis import interpolate_plan
 from ocp.results.replay import replay_in_doubt
 from ocp.results.result import Replayed
 from ocp.solvers.base import Outcome
+from ocp.solvers.early_stop import stop_early
+from ocp.solvers.monitor import TIME_UP
 from ocp.targets.find_target import find_target
 
 
@@ -112,3 +115,34 @@ def test_message_quotes_the_failure_of_the_replay(plan):
     judged = assess_plan(plan, target, found, 1e-2, lambda plan, tracked: failed, False, scene)
     assert not judged.success
     assert judged.message.endswith("its replay diverged at 0.2 s")
+
+
+@pytest.mark.parametrize("solver", [ocp.Sampling(), ocp.CondensedNewton()])
+def test_plans_with_undefined_costs_fail(solver):
+    undefined = ocp.Integral("log", lambda now: ca.log(now.control[0] - 50.0))
+    plan = ocp.solve(replace(folding(), costs=[undefined]), solver=solver)
+    assert plan.worst_error < 0.01
+    assert np.isnan(plan.objective)
+    assert not plan.success
+    assert plan.message.startswith("no plan: the sum of Problem.costs is not a number: keep roots")
+
+
+def test_a_guess_that_meets_all_goals_is_no_success(plan):
+    """A search that stops before the solver returns its guess, whose costs are unknown."""
+    target = find_target(plan.problem, Scales.of(plan.problem))
+    guess = plan.guess(plan.problem, target, 6)
+    early = stop_early(plan.problem, plan.transcription, TIME_UP, guess)
+    judged = assess_plan(
+        replace(plan, objective=early.objective),
+        target,
+        early,
+        1e-2,
+        lambda plan, tracked: Replayed((plan.replay(),)),
+        False,
+        plan.model.scene,
+    )
+    assert judged.worst_error < 1e-2
+    assert not judged.success
+    assert judged.message.startswith("no plan: stopped before the solver began, with the guess")
+    again = plan.replan(time_limit=1e-3)
+    assert np.isfinite(again.objective) or not again.success

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import sys
 import threading
 import time
 
@@ -194,3 +195,24 @@ def test_every_method_keeps_the_time_limit(transcription, solver, limit):
     ocp.solve(problem, transcription, solver, time_limit=limit)
     # ten times the permitted excess, as other programs may run at the same time
     assert time.perf_counter() - began < limit + 10.0
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.001])
+def test_the_better_of_both_conversions_is_kept(factor, monkeypatch):
+    """The other one has the same states, but other force densities: its replay ends far away."""
+    module = sys.modules["ocp.search.find_plan"]
+    run, found = module.run_attempt, []
+
+    def convert(task, attempt):
+        outcome, target = run(task, attempt)
+        if not found:
+            found.append(outcome)
+            outcome = outcome._replace(force_density=1.01 * outcome.force_density)
+        other = outcome._replace(force_density=factor * found[0].force_density)
+        return outcome._replace(finer=lambda: other), target
+
+    monkeypatch.setattr(module, "run_attempt", convert)
+    plan = ocp.solve(raising(), ocp.Variational(20), tolerance=1e-5)
+    assert not plan.success
+    expected = min(1.01, factor, key=lambda one: abs(one - 1.0))
+    assert plan.force_density == pytest.approx(expected * found[0].force_density, rel=1e-12)
