@@ -204,7 +204,9 @@ def _find_undefined(program: Program, solution: Solution, f: Array, g: Array) ->
     bad = np.flatnonzero(~np.isfinite(np.asarray(J.nonzeros())))
     if not bad.size:
         return ""
-    return explain_undefined(f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}")
+    return explain_undefined(
+        f"the derivative of {program.names[J.sparsity().get_triplet()[0][int(bad[0])]]}"
+    )
 
 
 def explain_undefined(name: str) -> str:
@@ -218,22 +220,23 @@ def explain_undefined(name: str) -> str:
 
 
 def _find_runaway(program: Program, solution: Solution) -> str:
-    """Find the decision variable that diverges and has no bound.
+    """Find the state, control or duration that diverges and has no bound.
 
-    Controls come first, as they make states grow. The variable is that of the last iterate. Returns
-    a message, or "" if no variable is large.
+    Controls come first, as they make states grow. The value is that of the last iterate. Returns a
+    message, or "" if none is large.
     """
     if solution.last is None or not np.all(np.isfinite(solution.last)):
         return ""
     limits = np.where(solution.last > 0, program.w_upper, program.w_lower)
-    stages = np.array([", stage " in name for name in program.w_names])
-    # Stage unknowns do not count: long steps also make them large.
-    size = np.where(np.isfinite(limits) | stages, 0.0, np.abs(solution.last))
-    controls = ("force density of string", "rest length of string")
-    of_controls = size * [name.startswith(controls) for name in program.w_names]
+    free = np.where(np.isfinite(limits), 0.0, np.abs(solution.last))
+    # Users cannot limit other variables, such as multipliers and stages of integration.
+    every = np.arange(len(free))
+    controls, states = (
+        free * np.isin(every, index) for index in (program.decided, program.states.ravel())
+    )
     # A large control makes other unknowns large.
-    worst = int(np.argmax(of_controls if of_controls.max(initial=0.0) >= UNBOUNDED else size))
-    if size[worst] < UNBOUNDED:
+    worst = int(np.argmax(controls if controls.max(initial=0.0) >= UNBOUNDED else states))
+    if states[worst] < UNBOUNDED and controls[worst] < UNBOUNDED:
         return ""
     grown = solution.last[worst] * program.w_scale[worst]
     return f"{program.w_names[worst]} grows to {grown:.2g} without a limit: give it one, or a cost"

@@ -11,6 +11,11 @@ from planning import driven, prism
 
 import ocp
 import tenscasadi as tc
+from ocp.results.diagnosis import explain_failure
+from ocp.search.methods import program_of
+from ocp.search.task import prepare
+from ocp.solvers.base import Solution
+from ocp.transcription.mesh import Guess
 
 MODEL = driven(prism(1.0, bar_radius=0.005, stiffness=1000.0))
 
@@ -158,3 +163,30 @@ def test_what_cannot_be_solved_is_explained(name):
         assert plan.message.startswith("no plan: ")
     for word in words:
         assert word in plan.message
+
+
+@pytest.mark.parametrize("transcription", [ocp.Variational(4), ocp.DirectCollocation(4)])
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (("bar 0 length force,",), ""),
+        (("bar 0 length force,", "node 3 z,"), "node 3 z, interval 0"),
+        (("node 3 z,", "force density of string 2"), "force density of string 2, interval 0"),
+    ],
+)
+def test_growth_of_values_without_limits_is_named(transcription, names, found):
+    """The last iterate has them at 1000 in scaled units; multipliers have no limits of the user."""
+    problem = ocp.Problem(MODEL, goals=RISE, costs=[ocp.Effort()])
+    program = program_of(problem, transcription)
+    w = program.first.copy()
+    w[
+        [next(k for k, one in enumerate(program.w_names) if one.startswith(name)) for name in names]
+    ] = 1e3
+    status = "Maximum_Iterations_Exceeded"
+    solution = Solution(program.first, False, status, 10, last=w)
+    states, gamma, duration = (one.full() for one in program.unpack(program.first))
+    target = prepare(problem, transcription.control, 0.01).target
+    guess = Guess(states.T, gamma.T, duration.item())
+    message = explain_failure(problem, target, lambda _: states[:, 0], program, solution, guess)
+    cause = message.split(": ")[0]
+    assert cause.startswith(f"{found} grows to" if found else "stopped at the iteration limit")
