@@ -77,9 +77,10 @@ def solve(
         except for `Sampling`.
     progress : bool or callable, optional
         Whether a line on standard error shows the progress of a plan that takes longer than two
-        seconds. Default: only if standard error is a terminal. A function of a `Progress` is called
-        after each iteration of every method, except for starts in an executor, and stops the search
-        if it returns False. `tenscasadi.plots.Convergence` draws a chart, also live in a notebook.
+        seconds. With several starts, it has the number of finished ones. Default: only if standard
+        error is a terminal. A function of a `Progress` is called after each iteration of every
+        method, except for starts in an executor, and stops the search if it returns False.
+        `tenscasadi.plots.Convergence` draws a chart, also live in a notebook.
 
     Returns
     -------

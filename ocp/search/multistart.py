@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor, TimeoutError
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import replace
 from typing import Any
 
@@ -14,6 +14,8 @@ from ocp.results.result import PlanResult
 from ocp.sampling.solver import Sampling
 from ocp.search.find_plan import find_plan
 from ocp.solvers.monitor import Monitor
+
+_Options = tuple[Any, ...]  # arguments of `find_plan` before the monitor, from problem to tolerance
 
 
 def find_best_plan(
@@ -36,45 +38,83 @@ def find_best_plan(
         (problem, transcription, own_solver, own_guess, tolerance)
         for own_guess, own_solver in _vary_seeds(problem, guess, solver, automatic, count)
     ]
-    plans: list[PlanResult] = []
     if executor is None:
-        for k, one in enumerate(each):
-            if plans and monitor.status():
-                break
-            part = monitor.limit(None if np.isinf(monitor.left) else monitor.left / (count - k))
-            plans.append(find_plan(*one, monitor=part, tracked=tracked))
-            if part.interrupted:
-                monitor.stop()
+        plans = _solve_in_order(each, monitor, tracked)
     else:
-        limit = None if np.isinf(monitor.left) else max(1e-3, monitor.left)
-        running = [executor.submit(find_limited_plan, one, limit, tracked) for one in each]
-        with monitor.catching_interrupts():
-            for future in running:
-                try:
-                    left = None if not plans or np.isinf(monitor.left) else max(0.0, monitor.left)
-                    plans.append(future.result(left))
-                except TimeoutError:
-                    future.cancel()
-    best = min(
-        plans,
-        key=lambda plan: (not plan.success, plan.objective if plan.success else plan.worst_error),
-    )
-    costs = [plan.objective if plan.success else np.nan for plan in plans]
-    costs += [np.nan] * (count - len(plans))
+        plans = _solve_in_parallel(each, monitor, tracked, executor)
+    costs = np.full(count, np.nan)
+    for k, plan in plans.items():
+        costs[k] = plan.objective if plan.success else np.nan
+    best = _find_best(plans)
     return replace(
         best,
         message=f"{best.message}; best of {count} starts, {np.isfinite(costs).sum()} of which found a plan",
-        start_objectives=np.array(costs),
+        start_objectives=costs,
         seconds=monitor.elapsed,
     )
 
 
-def find_limited_plan(
-    options: tuple[Any, ...], time_limit: float | None, tracked: bool
-) -> PlanResult:
+def _solve_in_order(each: list[_Options], monitor: Monitor, tracked: bool) -> dict[int, PlanResult]:
+    """Solve one start after the other.
+
+    Each has an equal part of the remaining time. Returns the plans by number of the start.
+    """
+    plans: dict[int, PlanResult] = {}
+    for k, one in enumerate(each):
+        if plans and monitor.status():
+            break
+        monitor.phase = _describe_progress(plans, len(each))
+        part = monitor.limit(None if np.isinf(monitor.left) else monitor.left / (len(each) - k))
+        plans[k] = find_plan(*one, monitor=part, tracked=tracked)
+        if part.interrupted:
+            monitor.stop()
+    return plans
+
+
+def _solve_in_parallel(
+    each: list[_Options], monitor: Monitor, tracked: bool, executor: Executor
+) -> dict[int, PlanResult]:
+    """Solve all starts in an executor.
+
+    After the time limit or a stop request, the plans that exist are returned, at least one. They
+    are ordered by number of the start.
+    """
+    limit = None if np.isinf(monitor.left) else max(1e-3, monitor.left)
+    running = [executor.submit(find_limited_plan, one, limit, tracked) for one in each]
+    done: set[Future[PlanResult]] = set()
+    with monitor.catching_interrupts():
+        while len(done) < len(running) and not (done and monitor.status()):
+            plans = {k: one.result() for k, one in enumerate(running) if one in done}
+            monitor.phase = _describe_progress(plans, len(each))
+            monitor.show_line()
+            done |= wait(set(running) - done, 0.1, FIRST_COMPLETED).done
+    for future in running:
+        future.cancel()
+    return {k: one.result() for k, one in enumerate(running) if one in done}
+
+
+def _find_best(plans: dict[int, PlanResult]) -> PlanResult:
+    """Find the plan with the smallest objective, or the failed plan with the smallest error."""
+    return min(
+        plans.values(),
+        key=lambda plan: (not plan.success, plan.objective if plan.success else plan.worst_error),
+    )
+
+
+def _describe_progress(plans: dict[int, PlanResult], count: int) -> str:
+    """Describe how many of `count` starts have finished, and the best plan so far."""
+    text = f"{len(plans)} of {count} starts finished"
+    if not plans:
+        return text
+    best = _find_best(plans)
+    return (
+        f"{text}, the best with objective {best.objective:.5g} and error {best.worst_error:.1e} m"
+    )
+
+
+def find_limited_plan(options: _Options, time_limit: float | None, tracked: bool) -> PlanResult:
     """Find a plan in another process, within a time limit.
 
-    `options` are the arguments of `find_plan` before the monitor, from problem to tolerance.
     `time_limit` is in seconds; None is no limit. With `tracked`, the replay under the feedback of
     `ocp.track` decides on success.
     """

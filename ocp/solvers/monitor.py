@@ -86,13 +86,17 @@ class Monitor:
         self._thread = current_thread()
         self._worker: Worker | None = None
         self._latest: Progress | None = None
+        self._whole = self
 
     def limit(self, time_limit: float | None) -> Monitor:
         """Build the monitor of a part of the search.
 
-        The part has the time limit `time_limit` [s]; None is no limit.
+        The part has the time limit `time_limit` [s]; None is no limit. Its lines of progress have
+        the phase of the whole search before its own, and the time of the whole search.
         """
-        return Monitor(time_limit, self._show, self._watch)
+        part = Monitor(time_limit, watch=self._watch)
+        part._whole = self
+        return part
 
     @property
     def elapsed(self) -> float:
@@ -135,7 +139,7 @@ class Monitor:
         """
 
         def is_late() -> bool:
-            self._show_line()
+            self.show_line()
             return bool(self.status()) and -self.left > share * self._delay
 
         self._latest, self._worker = None, Worker(work)
@@ -161,29 +165,30 @@ class Monitor:
             worker.iterate = now.iteration, iterate
         self._latest = now
         if current_thread() is self._thread:  # else that thread shows the lines while it waits
-            self._show_line()
+            self.show_line()
         watch = self._watch
         if watch is not None and self.ask(lambda: watch(now)) is False:
             self.stop()
         return self.status()
 
-    def _show_line(self) -> None:
+    def show_line(self) -> None:
         """Show a line of progress if the last one is old.
 
         Before the first iteration, it has the phase and the time only.
         """
-        clock = time.perf_counter()
-        if self._show is None or clock < self._next_line:
+        clock, whole = time.perf_counter(), self._whole
+        if whole._show is None or clock < whole._next_line:
             return
-        self._next_line, now = clock + 0.5, self._latest
-        line = f"{self.phase}: "
+        whole._next_line, now = clock + 0.5, self._latest
+        line = "" if whole is self else f"{whole.phase}; "
+        line += f"{self.phase}: "
         if now is not None:
             line += (
                 f"iteration {now.iteration}, violation {now.infeasibility:.1e}, "
                 f"objective {now.objective:.5g}, "
             )
-        left = "" if math.isinf(self.deadline) else f", {max(self.left, 0.0):.0f} s left"
-        self._show(f"{line}{self.elapsed:.0f} s{left}")
+        left = "" if math.isinf(whole.deadline) else f", {max(whole.left, 0.0):.0f} s left"
+        whole._show(f"{line}{whole.elapsed:.0f} s{left}")
 
     @contextmanager
     def catching_interrupts(self) -> Iterator[None]:

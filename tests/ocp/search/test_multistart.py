@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import copy
 import multiprocessing
+import os
 import pickle
+import re
+import signal
+import threading
+import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -119,3 +125,50 @@ def test_a_time_limit_holds_for_all_starts():
     assert not plan.success
     assert np.isnan(plan.start_objectives).all()
     assert "increase time_limit" in plan.message
+
+
+@pytest.fixture
+def starts(monkeypatch):
+    """Replace the starts in executors by waiting times [s], after which a plan is there.
+
+    The event ends all of them.
+    """
+    plan = ocp.solve(raising(), SHORT, tolerance=0.1)
+    found = SimpleNamespace(times=[], ended=threading.Event())
+
+    def wait(options, time_limit, tracked):
+        found.ended.wait(found.times.pop(0))
+        return plan
+
+    monkeypatch.setattr("ocp.search.multistart.find_limited_plan", wait)
+    return found
+
+
+def test_progress_has_the_finished_starts_of_an_executor(starts, capsys):
+    starts.times += [0.9, 0.9, 0.9]
+    with ThreadPoolExecutor(1) as threads:
+        plan = solved(threads, progress=True, time_limit=60.0)
+    best = f"best with objective {plan.objective:.5g} and error {plan.worst_error:.1e} m"
+    line = rf"2 of 3 starts finished, the {re.escape(best)}: [2-9] s, 5\d s left"
+    assert re.search(line, capsys.readouterr().err)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize("limit", [0.5, 30.0])
+def test_searches_in_an_executor_end_with_the_finished_starts(starts, limit):
+    """After the time limit, or Ctrl-C after 0.5 s."""
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    keyboard = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    starts.times += [30.0, 0.0, 30.0]
+    began = time.perf_counter()
+    with ThreadPoolExecutor(3) as threads:
+        try:
+            if limit > 1.0:
+                keyboard.start()
+            plan = solved(threads, time_limit=limit)
+            wall = time.perf_counter() - began
+        finally:
+            starts.ended.set()
+            signal.signal(signal.SIGINT, usual)
+    assert 0.4 < wall < 10.0
+    assert np.isfinite(plan.start_objectives).sum() == 1

@@ -33,3 +33,12 @@ def test_short_searches_show_nothing():
     lines = []
     Monitor(show=lines.append).run(lambda: time.sleep(0.2), lambda: None)
     assert not lines
+
+
+def test_lines_of_parts_have_phase_and_time_of_the_whole():
+    lines = []
+    monitor = Monitor(60.0, lines.append)
+    monitor.phase = "1 of 2 starts finished"
+    time.sleep(1.2)
+    monitor.limit(5.0).run(lambda: time.sleep(1.2), lambda: None)
+    assert lines[0].startswith("1 of 2 starts finished; final state: 2 s, 5")
