@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ocp.problem.problem import Problem
     from ocp.problem.scaling import Scales
 
+MARGIN = 1e-4  # relative to the range or size of a limit: largest excess that is no violation
 _LIMITS: dict[type, type[Any]] = {
     ForceDensity: ForceDensityLimits,
     Tension: TensionLimits,
@@ -152,6 +153,17 @@ class ScaledRows:
     ends: tuple[str, ...]
     scale: Array
     unit: str
+
+
+def compute_margins(values: Array, lower: Array, upper: Array) -> Array:
+    """Compute the margins (2, m) by which lower and upper limits may be exceeded.
+
+    Values within them are active limits, values beyond are violations. Values are (n, m), limits
+    (m,). A margin is relative to the range of the limits or to the size of the limit.
+    """
+    size = np.maximum(np.abs([lower, upper]), np.abs(values).max(initial=0.0))
+    size = np.minimum(size, np.where(np.isfinite(upper - lower), upper - lower, np.inf))
+    return MARGIN * np.where(size > 0, size, 1.0)
 
 
 def scaled_rows(

@@ -12,7 +12,7 @@ import numpy as np
 from ocp.problem.bounds.bound import PathBound, PathConstraint, RateBound
 from ocp.problem.control import control_name, control_unit
 from ocp.problem.goals.goal import soft_goals
-from ocp.problem.path_constraints import path_constraints
+from ocp.problem.path_constraints import compute_margins, path_constraints
 from ocp.problem.problem import Problem
 from ocp.problem.rows import goal_rows
 from ocp.solvers.multipliers import Duals
@@ -21,9 +21,6 @@ from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.structure.cables import name_inputs
 from tenscasadi.structure.names import find_named
 from tenscasadi.util.validate import Array
-
-# relative to the range or size of a limit: a value within it is active, one farther beyond violated
-MARGIN = 1e-4
 
 
 class Finding(NamedTuple):
@@ -257,14 +254,13 @@ class _LimitedValues(NamedTuple):
         """List the violated limits if `broken`, otherwise the active ones."""
         found = []
         lower, upper = self.limited.lower, self.limited.upper
-        width = np.where(np.isfinite(upper - lower), upper - lower, np.inf)
-        typical = np.abs(self.values).max(initial=0.0)
+        margins = compute_margins(self.values, lower, upper)
         for k, name in enumerate(self.limited.names):
-            for side, limit, sign in (("lower", lower[k], -1.0), ("upper", upper[k], 1.0)):
+            sides = ("lower", lower[k], -1.0), ("upper", upper[k], 1.0)
+            for (side, limit, sign), size in zip(sides, margins[:, k].tolist(), strict=True):
                 if not np.isfinite(limit):
                     continue
                 excess = sign * (self.values[:, k] - limit)
-                size = MARGIN * (min(width[k], max(abs(limit), typical)) or 1.0)
                 hit = excess > (size if broken else -size)
                 worst = int(np.argmax(excess))
                 if hit.any() and (broken or excess[worst] <= size):

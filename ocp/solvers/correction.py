@@ -45,7 +45,7 @@ def solve_corrected(
     """Solve a nonlinear program with deferred correction.
 
     `measure` computes the discretization residual. Rounds end once the error of the states [m] is
-    at most `accuracy`. The discretization residual shifts the bounds of the constraints, and the
+    at most `accuracy`, and the states of fine steps satisfy the limits. The discretization residual shifts the bounds of the constraints, and the
     program is solved again (Stetter, Numer. Math. 1978, 29, 425). Only bounds change, so nothing is
     built again. Each round leaves a fraction of the residual that is about the relative error of
     the discretization. Costs keep the error of the discretization, so the plan is optimal only up
@@ -65,7 +65,7 @@ def solve_corrected(
             best = Corrected(solution, rest.states, rest.error)
         late = monitor is not None and bool(monitor.status())
         # the first solution has the full error of the discretization, and a round costs little
-        met = bool(done) and rest.error <= accuracy
+        met = bool(done) and rest.error <= accuracy and rest.kept
         if met or late or done == most or not rest.size < left * last:
             break
         last, program = rest.size, program.shift_rows(rest.shift, solution.w, solution.multipliers)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from ocp.problem.path_constraints import compute_margins
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.runge_kutta import DormandPrince853
@@ -33,6 +34,8 @@ class MotionResidual(NamedTuple):
         Shift of the bounds of all constraints that removes the residual, to first order.
     states : ndarray or None
         States (K + 1, nx) of fine steps along the whole plan.
+    kept : bool
+        Whether these states satisfy the limits of the program, within the margins of reports.
     velocity_shift : ndarray or float
         Difference of the initial velocities (K, nq) that connect mesh points in fine steps from the
         planned ones [m/s].
@@ -42,6 +45,7 @@ class MotionResidual(NamedTuple):
     size: float
     shift: Array
     states: Array | None
+    kept: bool = True
     velocity_shift: Array | float = 0.0
 
 
@@ -93,6 +97,24 @@ class FineSteps:
         fine = np.column_stack([states[0], later]).T
         places, speeds, *_ = self.model.split(np.abs(fine - states) * self.program.known)
         return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
+
+    def keeps_limits(self, w: Array, states: Array) -> bool:
+        """Return whether states (K + 1, nx) satisfy path constraints and limits of rates.
+
+        They replace those of the scaled decision variables `w`.
+        """
+        unknowns = self.program.parts.unknowns
+        y = np.concatenate([unknowns.scale * w, unknowns.constants])
+        y[self.program.states] = states
+        for block in self.program.parts.rows:
+            if block.kind not in ("path", "rate"):
+                continue
+            value = block.value(y[block.index].T).full().T
+            lower, upper, _ = (limit.reshape(value.shape)[0] for limit in block.limits())
+            below, above = compute_margins(value, lower, upper)
+            if np.any(value < lower - below) or np.any(value > upper + above):
+                return False
+        return True
 
 
 def _build_step(model: Model) -> ca.Function:
@@ -202,7 +224,8 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
 
 def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
     states, error = fine.whole(w)
-    return MotionResidual(error, float(np.abs(shift).max(initial=0.0)), shift, states)
+    size, kept = float(np.abs(shift).max(initial=0.0)), fine.keeps_limits(w, states)
+    return MotionResidual(error, size, shift, states, kept)
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:

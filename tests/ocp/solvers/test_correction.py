@@ -142,3 +142,15 @@ def test_solvers_that_cannot_start_again_are_corrected_too():
 def test_an_accuracy_is_a_positive_length(bad):
     with pytest.raises((TypeError, ValueError), match=r"Variational\.accuracy"):
         ocp.Variational(10, accuracy=bad)
+
+
+@pytest.mark.parametrize("profile", [ocp.PiecewiseConstant(), ocp.PiecewiseLinear()])
+def test_states_of_fine_steps_keep_active_limits(profile):
+    limit = ocp.RestLengthRateLimits(0.12, stiffness=1000.0)
+    plan = ocp.solve(rising(1.0, limit), ocp.Variational(30, accuracy=1e-4, control=profile))
+    assert plan.success, plan.message
+    assert "violates" not in plan.message
+    assert plan.report().violated == ()
+    rest = plan.rest_lengths(1000.0)
+    rates = np.diff(rest, axis=0) / np.diff(plan.time)[: len(rest) - 1, None]
+    assert np.abs(rates).max() == pytest.approx(0.12, rel=1e-4)
