@@ -153,7 +153,7 @@ def solve_phased(
     """
     if not isinstance(solver, Ipopt):
         raise ValueError(f"solver is {type(solver).__name__}: phases take ocp.Ipopt()")
-    task = monitor.run(lambda: link_problem(problem, transcription, guess), lambda: None)
+    task = monitor.run(lambda: link_problem(problem, transcription, tolerance, guess), lambda: None)
     if task is None:
         return stop_early(problem, transcription, monitor.status()), None
 
@@ -180,12 +180,15 @@ def solve_phased(
 
 
 def link_problem(
-    problem: Problem, transcription: Transcription, guess: InitialGuess | None = None
+    problem: Problem,
+    transcription: Transcription,
+    tolerance: float,
+    guess: InitialGuess | None = None,
 ) -> PhasedTask:
     """Build the nonlinear program of a problem with phases.
 
     Linkage constraints connect the phases. Raises TypeError, ValueError or InfeasibleGoalError.
-    Without a guess, `guess_phases` builds one.
+    Without a guess, `guess_phases` builds one. `tolerance` is that of the goals [m].
     """
     _check_options(transcription, guess)
     scene, count = problem.model.scene, transcription.count
@@ -198,7 +201,7 @@ def link_problem(
     )
     scales = Scales.of(replace(air, duration=max(phase.longest for phase in problem.phases)))
     parts = phase_problems(problem, air)
-    targets = find_targets(problem, parts, scales)
+    targets = find_targets(problem, parts, scales, tolerance)
     weight = (
         np.zeros(3)
         if scene.gravity is None

@@ -35,16 +35,20 @@ def phase_problems(problem: Problem, air: Problem) -> list[Problem]:
     ]
 
 
-def find_targets(problem: Problem, parts: Sequence[Problem], scales: Scales) -> list[Target]:
+def find_targets(
+    problem: Problem, parts: Sequence[Problem], scales: Scales, tolerance: float
+) -> list[Target]:
     """Find a final state of each phase that meets its goals.
 
     The search starts at the final state of the preceding phase. Raises `InfeasibleGoalError`, which
-    names the phase. `parts` are the problems of the phases.
+    names the phase. `parts` are the problems of the phases, and `tolerance` is that of their goals
+    [m].
     """
+    own = tolerance / scales.length
     targets, near, since_start = [], problem.initial_state, set(problem.phases[0].contact_nodes)
     for k, (phase, part) in enumerate(zip(problem.phases, parts, strict=True)):
         try:
-            target = find_target(replace(part, start=FreeStart(near)), scales)
+            target = find_target(replace(part, start=FreeStart(near)), scales, tolerance=own)
         except InfeasibleGoalError as error:
             raise InfeasibleGoalError(f"phase {k}: {error}", error.certificate) from None
         since_start &= set(phase.contact_nodes)

@@ -21,8 +21,9 @@ from ocp.plan.robustness import (
 )
 from ocp.problem.control import controls_force_densities
 from ocp.problem.phase import reject_phases
+from ocp.problem.rows import RELIABLE
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import RELIABLE, interpolate_replays, measure_errors
+from ocp.results.acceptance import interpolate_replays, measure_errors
 from ocp.results.actuation import STEPS_PER_UPDATE
 from ocp.results.rest_length_schedule import compute_rest_lengths
 from ocp.results.result import STEPS
@@ -127,7 +128,7 @@ def _measure_misses(plan: Any, time: Array, states: Array) -> Any:
     """
     target = None
     if plan.problem is not None:
-        found = find_target(plan.problem, Scales.of(plan.problem))
+        found = find_target(plan.problem, Scales.of(plan.problem), tolerance=np.inf)
         target = found.begin_at(plan.trajectory.states[0])
     return measure_errors(plan, target, interpolate_replays(time, states))
 

@@ -16,6 +16,7 @@ from tenscasadi.util.validate import Array
 # remove. Smaller contradictions are left to the solver. With singular values below it, for rows of
 # norm 1, two solutions are closer than this.
 RESOLUTION = 1e-3
+RELIABLE = 1e-2  # × the structure's size: default tolerance of goals
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,7 +109,7 @@ def _check_state(model: Model, field: str, given: ArrayLike) -> Array:
         except ValueError as error:
             raise ValueError(f"{field}: {error}") from None
     s, nodes, velocities = model.structure, model.nodes(state), model.velocities(state)
-    check_bar_lengths(f"{field} makes", nodes, s)
+    check_bar_lengths(f"{field} makes", nodes, s, RESOLUTION * s.bar_lengths)
     bars, rates = (Z[s.bars[:, 1]] - Z[s.bars[:, 0]] for Z in (nodes, velocities))
     stretch = abs(np.sum(bars * rates, axis=1)) / s.bar_lengths
     bad = np.flatnonzero(stretch > RESOLUTION * np.linalg.norm(velocities, axis=1).max())

@@ -29,7 +29,6 @@ from tenscasadi.util.validate import Array
 # of a plan, in open loop or under `track`; None if the search stopped before
 Replay = Callable[[PlanResult, bool], Replayed | None]
 
-RELIABLE = 1e-2  # × the structure's size: default tolerance of replays
 UNFINISHED = "its replay was not finished in time"
 NO_PLAN = "no plan: "  # start of the message of a search without a result
 

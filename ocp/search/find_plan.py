@@ -14,8 +14,9 @@ import numpy as np
 
 from ocp.guess.initial_guess import InitialGuess
 from ocp.problem.problem import Problem
+from ocp.problem.rows import RELIABLE
 from ocp.problem.scaling import Scales
-from ocp.results.acceptance import NO_PLAN, RELIABLE, assess_plan
+from ocp.results.acceptance import NO_PLAN, assess_plan
 from ocp.results.diagnosis import interpolate_plan
 from ocp.results.result import PlanResult, Replayed
 from ocp.search.coordinates import ReducedCoordinates, reduce_coordinates
@@ -247,10 +248,12 @@ def _find_other_target(task: PlanningTask, plan: PlanResult, found: Outcome) -> 
         return None
     state_at = interpolate_plan(plan)
     residuals = target.begin_at(found.states[0]).measure(state_at).distances(duration)
-    limit = 0.5 * target.residual * task.scales.length
+    limit = target.adjusted + 0.5 * target.residual * task.scales.length
     if residuals.max(initial=0.0) <= limit or task.monitor.status():
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TargetNotFoundWarning)
-        other = task.monitor.run(lambda: find_target(problem, task.scales, state_at), lambda: None)
+        other = task.monitor.run(
+            lambda: find_target(problem, task.scales, state_at, target.tolerance), lambda: None
+        )
     return other if other is not None and other.met else None

@@ -13,6 +13,8 @@ from ocp.phases.method import solve_phased
 from ocp.problem.control import build_smooth_model
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
+from ocp.problem.rows import RELIABLE
+from ocp.problem.scaling import Scales
 from ocp.results.acceptance import describe_growth
 from ocp.results.diagnosis import build_interpolant, explain_failure
 from ocp.results.result import PlanResult, Replayed
@@ -170,7 +172,7 @@ def program_of(
         "a transcription, such as ocp.MultipleShooting()",
     )
     transcription = resolve_names(transcription, problem.model.scene.structure.names)
-    task = prepare(problem, transcription.control, np.inf)
+    task = prepare(problem, transcription.control, RELIABLE * Scales.of(problem).length)
     if task.target is None:
         raise TypeError("Problem.phases are no part of one program: leave them out")
     first = evaluate_guess(guess, problem, task.target, transcription.count).perturb(

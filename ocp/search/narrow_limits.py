@@ -130,7 +130,7 @@ def _build(task: PlanningTask, control: Profile) -> Program | None:
     """
     problem, target = task.problem, task.target
     if problem.phases:
-        return link_problem(problem, Variational(PHASE_INTERVALS)).program
+        return link_problem(problem, Variational(PHASE_INTERVALS), task.tolerance).program
     if target is None or not target.met:
         return None
     guess = evaluate_guess(InverseDynamics(noise=NOISE), problem, target, MIN_INTERVALS)

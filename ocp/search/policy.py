@@ -253,7 +253,7 @@ def build_force_density_task(task: PlanningTask) -> PlanningTask | None:
     if twin is None or not task.problem.model.na:
         return None if twin is None else task._replace(problem=twin)
     scales = Scales.of(twin)
-    target = find_target(twin, scales).permit(0.5 * task.tolerance / scales.length)
+    target = find_target(twin, scales, tolerance=task.tolerance / scales.length)
     return task._replace(problem=twin, target=target, scales=scales)
 
 

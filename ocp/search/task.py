@@ -73,7 +73,7 @@ def prepare(
     scales = Scales.of(problem)
     if problem.phases:
         return PlanningTask(problem, None, scales, tolerance, monitor)
-    target = find_target(problem, scales, near).permit(0.5 * tolerance / scales.length)
+    target = find_target(problem, scales, near, tolerance / scales.length)
     if not problem.free_start:
         limits = LimitCheck(problem)
         check_start(limits, np.asarray(problem.start))

@@ -19,7 +19,7 @@ import scipy.sparse as sp
 
 from ocp.problem.goals.goal import Goal
 from ocp.problem.problem import Problem
-from ocp.problem.rows import RESOLUTION, Rows, goal_rows
+from ocp.problem.rows import RELIABLE, RESOLUTION, Rows, goal_rows
 from ocp.problem.scaling import Scales, typical_mass
 from ocp.targets.certificate import prove_infeasible, read_quadratic
 from ocp.targets.distance_rows import find_distance_rows, list_neighbors, squared_distances
@@ -36,7 +36,7 @@ from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
 # relative to the structure's size: inconsistency of goals with bar lengths that rounding to four
-# digits causes; larger residuals count as violations
+# digits causes; if residuals are larger, the search continues for a state that meets the goals
 ROUNDED = 2e-4
 # to the typical mass: largest ratio in the metric, where motions of a heavier node, divided by the
 # root of its mass, would fall below the rank tolerance
@@ -45,18 +45,23 @@ RIGID = ("bar", "joint", "clock")
 
 
 def find_target(
-    problem: Problem, scales: Scales, near: Callable[[float], Array] | None = None
+    problem: Problem,
+    scales: Scales,
+    near: Callable[[float], Array] | None = None,
+    tolerance: float = RELIABLE,
 ) -> Target:
     """Find states that meet the terminal goals and the waypoints.
 
     They are the nearest ones to the initial state, or to `near` at the same fraction of the
-    duration. Raises `InfeasibleGoalError` for goals that are proven infeasible, and warns if no
-    state was found. `near` maps a fraction of the duration to a state.
+    duration. Raises `InfeasibleGoalError` for goals that are proven to be infeasible by more than
+    the tolerance, which is relative to the structure's size, and warns if no state was found.
+    `near` maps a fraction of the duration to a state.
     """
+    tolerance = max(tolerance, ROUNDED)
 
     def find(share: float, goals: tuple[Goal, ...], label: str = "") -> Target:
         state = problem.initial_state if near is None else near(share)
-        return _find_end(problem, goals, share, scales, state, label)
+        return _find_end(problem, goals, share, scales, state, label, tolerance)
 
     waypoints = [
         WaypointTarget(share, find(share, goals, f"waypoint at {share:.3g} of the duration: "))
@@ -66,7 +71,9 @@ def find_target(
         closed = any(goal.shift == (0.0, 0.0, 0.0) for goal in problem.periodic_goals)
         find(0.0, problem.initial_goals + closed * problem.terminal_goals, "free start: ")
     end = find(1.0, problem.terminal_goals)
-    return replace(end, waypoints=tuple(waypoints), free_start=find_free_start(problem, scales))
+    return replace(
+        end, waypoints=tuple(waypoints), free_start=find_free_start(problem, scales, tolerance)
+    )
 
 
 def _find_end(
@@ -76,13 +83,15 @@ def _find_end(
     scales: Scales,
     near: Array,
     label: str,
+    tolerance: float,
 ) -> Target:
     """Find a state that meets the goals at one instant.
 
     `share` is the instant's fraction of the duration. A free initial state may be at any time of
-    the plan. The search starts at the state `near`. `label` begins its error messages.
+    the plan. The search starts at the state `near`. `label` begins its error messages. `tolerance` is
+    relative to the structure's size.
     """
-    search = _TargetSearch(problem, goals, share or 1.0, scales)
+    search = _TargetSearch(problem, goals, share or 1.0, scales, tolerance)
     if not search.goals.names:
         x = ca.SX.sym("x", problem.model.nx)
         empty = ca.Function("single", [x], [ca.SX(0, 1)])
@@ -101,9 +110,15 @@ class _TargetSearch:
     """
 
     def __init__(
-        self, problem: Problem, goals: tuple[Goal, ...], share: float, scales: Scales
+        self,
+        problem: Problem,
+        goals: tuple[Goal, ...],
+        share: float,
+        scales: Scales,
+        tolerance: float,
     ) -> None:
         model, self.problem, self.scales = problem.model, problem, scales
+        self.tolerance = tolerance
         self.shortest, self.longest = share * problem.shortest, share * problem.longest
         self.typical, self.given = share * problem.typical_duration, goals
         self.x, duration = ca.SX.sym("x", model.nx), ca.SX.sym("T")
@@ -135,22 +150,25 @@ class _TargetSearch:
     def run(self, near: Array) -> Target:
         """Find the final state and its independent goal rows.
 
-        The search starts near the given state, then at states that approximately meet the goals.
+        The search starts near the given state, then at states that approximately meet the goals. It
+        ends at a state that meets them up to rounding, or within the tolerance if the next start
+        leads to none that is better.
         """
         best, least = np.append(near, self.typical), np.inf
         for start in self._starts(near):
             y = self._find_nearest(start)
             miss = float(np.abs(self.rows(y)[0]).max(initial=0.0))
+            better = miss < (1 - RESOLUTION) * least
             if miss < least:
                 best, least = y, miss
-            if miss <= ROUNDED:
+            if least <= (ROUNDED if better else self.tolerance):
                 break
-        if least > ROUNDED:
+        if least > self.tolerance:
             self._reject(best)
         straight = self._straighten(best)
         if straight is not None:
             best = self.search.find_nearest(self.rows, len(self.goals.names), straight)
-        return self.impose(best, least <= ROUNDED)
+        return self.impose(best, least <= self.tolerance)
 
     def _starts(self, near: Array) -> Iterator[Array]:
         """Yield the starting points y of the search.
@@ -298,17 +316,22 @@ class _TargetSearch:
             ]
         names = [name for rows in every for name in rows.names]
         scaled = [rows.scale(self.scales.units) for rows in every]
-        rows = read_quadratic(RowFunction(ca.vertcat(*columns), scaled, scale), names)
+        # invariants hold up to rounding; velocities count as distances in the duration
+        permitted = np.full(len(names), TOLERANCE)
+        permitted[: len(self.goals.names)] = self.tolerance
+        fast = [unit == "m/s" for unit in self.goals.units]
+        permitted[: len(fast)][fast] *= self.scales.time / self.problem.shortest
+        rows = read_quadratic(RowFunction(ca.vertcat(*columns), scaled, scale), names, permitted)
         z = np.append(y[:-1], [y[-1], y[-1] ** 2 / 2] if free else []) / scale
-        return prove_infeasible(rows, z, box, ROUNDED)
+        return prove_infeasible(rows, z, box)
 
     # --- the rows ---
 
     def impose(self, y: Array, met: bool) -> Target:
         """Select independent goal rows at y, and build the target.
 
-        `met` tells whether y meets the goals. If y meets the goals, their values are adjusted to it
-        within rounding; otherwise they remain as given.
+        `met` tells whether y meets the goals within the tolerance. If it does, their values are
+        adjusted to it; otherwise they remain as given.
         """
         values, H = self.goal(y)
         adjusted = float(np.abs(values).max(initial=0.0)) * self.scales.length if met else 0.0
@@ -340,6 +363,7 @@ class _TargetSearch:
             shape=len(weights),
             adjusted=adjusted if adjusted > 1e-7 * self.scales.length else 0.0,
             met=met,
+            tolerance=self.tolerance,
         )
 
     def _find_shape_rows(self, y: Array, directions: Array) -> tuple[Array, Array, Indices]:

@@ -23,11 +23,11 @@ from ocp.targets.target import FreeStartRows
 from tenscasadi.util.validate import Array
 
 
-def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
+def find_free_start(problem: Problem, scales: Scales, tolerance: float) -> FreeStartRows | None:
     """Build the constraints on a free initial state.
 
     Returns None if the initial state is fixed. Raises `InfeasibleGoalError` if the plan cannot be
-    periodic, as in free fall.
+    periodic, as in free fall. `tolerance` is that of the goals, relative to the structure's size.
     """
     if not problem.free_start:
         return None
@@ -54,7 +54,8 @@ def find_free_start(problem: Problem, scales: Scales) -> FreeStartRows | None:
         momentum = kept["momentum"].select(
             "m/s", "m²/s"
         )  # the path of the center of mass follows from its initial velocity
-        _check_momentum(momentum, first, near, scales)
+        most = tolerance * scales.time / problem.shortest
+        _check_momentum(momentum, first, near, scales, most)
         known.append(("momentum", _gradient(momentum, first, near, scales)))
     reduction = reduce_rows(
         _gradient(at_near, last, near, scales), known, repeats.names, repeats.sizes(scales.units)
@@ -76,15 +77,15 @@ def _combined(reduction: Reduction, rows: Rows, scales: Scales) -> Any:
     return ca.mtimes(ca.DM(reduction.combinations), rows.scale(scales.units))
 
 
-def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales) -> None:
+def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales, most: float) -> None:
     """Reject periodic plans whose momentum must change.
 
     Strings cannot prevent such changes, such as those by gravity. `momentum` is the change of the
-    momentum in one period, a function of the state `x`. It is evaluated at the state `near`.
+    momentum in one period, a function of the state `x`. It is evaluated at the state `near`. Scaled changes up to `most` are permitted.
     """
     scaled = ca.Function("change", [x], [momentum.scale(scales.units)])
     change = np.abs(scaled(near).full().ravel())
-    if change.max(initial=0.0) > 1e-6:  # relative to typical momenta: above rounding errors
+    if change.max(initial=0.0) > most:
         k = int(np.argmax(change))
         name = momentum.names[k]
         raise InfeasibleGoalError(

@@ -55,7 +55,9 @@ class InfeasibleGoalError(ValueError):
     -----
     Goals, bar lengths, joints, the clock, momenta and the plane of a flat structure are rows that
     are quadratic in the state at their instant. A goal is rejected if a combination of the rows is
-    convex and has a positive minimum [1]_. Momenta and plane are used only in scenes without
+    convex and has a positive minimum [1]_, larger than that of residuals within the tolerance. Goals
+    that contradict each other, bars or momenta by less, as rounded values do, are met up to their
+    contradiction, which the message of the plan gives. Momenta and plane are used only in scenes without
     ground, pressure, nodal forces and moving supports, and with a given initial state. A `Periodic`
     motion is rejected if it needs a change of a momentum that no string can cause. Limits reject a
     goal if linear rows alone determine all coordinates on which they depend.

@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 import scipy.linalg
 
+from ocp.problem.rows import RELIABLE
 from ocp.targets.row_reduction import Reduction
 from tenscasadi.util.validate import TOLERANCE, Array, Indices
 
-MAX_RESIDUAL = 5e-3  # largest residual of dependent goal rows, relative to their scale
 StateAt = Callable[[float], Array]  # fraction of the duration → state (nx,), or states (n, nx)
 
 
@@ -80,8 +80,8 @@ class Target:
         Targets of waypoints.
     free_start : FreeStartRows or None
         Constraints on a free initial state, near which `start` is.
-    residual : float
-        Permitted residual of dependent goal rows, relative to their scale.
+    tolerance : float
+        Tolerance of the goals, relative to the structure's size.
     """
 
     start: Array
@@ -97,7 +97,7 @@ class Target:
     met: bool = True
     waypoints: tuple[WaypointTarget, ...] = ()
     free_start: FreeStartRows | None = None
-    residual: float = MAX_RESIDUAL
+    tolerance: float = RELIABLE
 
     @property
     def count(self) -> int:
@@ -119,6 +119,11 @@ class Target:
         return ca.Function(
             "goal", [x], [ca.mtimes(ca.DM(self.weights), self.single(x))], ["x"], ["rows"]
         )
+
+    @property
+    def residual(self) -> float:
+        """Permitted residual of dependent goal rows, relative to their scale."""
+        return float(np.clip(0.5 * self.tolerance, TOLERANCE, 0.5 * RELIABLE))
 
     @property
     def dependent(self) -> Indices:
@@ -158,15 +163,6 @@ class Target:
             self, weights=kept @ self.weights, reduction=self.reduction.keep(kept, reason)
         )
 
-    def permit(self, residual: float) -> Target:
-        """Set the permitted residual of dependent goal rows.
-
-        It also applies to waypoints.
-        """
-        own = float(np.clip(residual, TOLERANCE, MAX_RESIDUAL))
-        waypoints = tuple(one._replace(target=one.target.permit(own)) for one in self.waypoints)
-        return replace(self, residual=own, waypoints=waypoints)
-
     def begin_at(self, start: Array) -> Target:
         """Build the target for a given initial state.
 
@@ -201,9 +197,7 @@ class Target:
         left_out += [f"{self.shape} added for the shape"] if self.shape else []
         text = f"{given} → {self.count} rows" + (": " + ", ".join(left_out) if left_out else "")
         text += "" if self.met else "; no target state was found"
-        text += (
-            f"; goals adjusted by {self.adjusted:.1e} m to fit the bars" if self.adjusted else ""
-        )
+        text += f"; goals are met up to {self.adjusted:.1e} m" if self.adjusted else ""
         return "; ".join([text, *waypoints])
 
 

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.costs import Cost, CostAt, TerminalCost
-from ocp.problem.rows import RESOLUTION, Rows, distance_rows
+from ocp.problem.rows import RELIABLE, Rows, distance_rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import NUMBER, PER_ITEM, POINT, POINTS
 from tenscasadi.schema.value import Value
-from tenscasadi.structure.class_one import distances
+from tenscasadi.structure.class_one import distances, measure_diagonal
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.linear_algebra import fit_rotation
 from tenscasadi.util.validate import (
@@ -376,7 +376,7 @@ class Shape(Goal, kind="Shape"):
     Parameters
     ----------
     nodes : array_like, shape (n, 3)
-        Nodes of the shape [m]. The bars must have the lengths of the structure (to 0.1 %).
+        Nodes of the shape [m]. The bars must have the lengths of the structure, up to 2 % of its size.
 
     Raises
     ------
@@ -413,7 +413,9 @@ class Shape(Goal, kind="Shape"):
             three nodes.
         """
         nodes = finite_array("Shape.nodes", self.nodes, structure.nodes.shape)
-        check_bar_lengths("Shape.nodes make", nodes, structure)
+        # each end of a bar may be off by the default tolerance
+        most = 2 * RELIABLE * measure_diagonal(structure.nodes)
+        check_bar_lengths("Shape.nodes make", nodes, structure, most)
         if len(nodes) < 3:
             raise ValueError(
                 f"Shape.nodes has {len(nodes)} nodes: a shape needs three, use StringLengths or NodePositions"
@@ -475,14 +477,16 @@ class Shape(Goal, kind="Shape"):
         return np.vstack([moved, nodes[len(moved) :]])
 
 
-def check_bar_lengths(subject: str, nodes: Array, structure: Structure) -> None:
+def check_bar_lengths(
+    subject: str, nodes: Array, structure: Structure, most: Array | float
+) -> None:
     """Check that node positions agree with bar lengths.
 
-    Nodes are (n, 3) [m]; the tolerance is 0.1 %. Raises ValueError, whose message begins with
-    ``subject``.
+    Nodes are (n, 3) [m]; ``most`` are the permitted errors of lengths [m]. Raises ValueError, whose
+    message begins with ``subject``.
     """
     lengths = distances(nodes, structure.bars)
-    bad = np.flatnonzero(abs(lengths / structure.bar_lengths - 1) > RESOLUTION)
+    bad = np.flatnonzero(abs(lengths - structure.bar_lengths) > most)
     if bad.size:
         k = int(bad[0])
         raise ValueError(

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ocp.problem.goals.goal import FREE_AXIS, FreePoint, Goal
-from ocp.problem.rows import Rows
+from ocp.problem.rows import RELIABLE, Rows
 from tenscasadi.io.structure_section import OfStructure
 from tenscasadi.schema.containers import Either, MapOf
 from tenscasadi.schema.field_types import PER_ITEM, POINT, POINTS
-from tenscasadi.structure.class_one import measure_extent
+from tenscasadi.structure.class_one import measure_diagonal
 from tenscasadi.structure.structure import Structure
 from tenscasadi.util.validate import (
     NEGLIGIBLE,
@@ -91,9 +91,10 @@ class NodePositions(Goal, kind="NodePositions"):
         Raises
         ------
         TypeError, ValueError
-            If a node does not exist, or is pinned at another position.
+            If a node does not exist, or is pinned at a position that differs by more than 1 % of
+            the structure's size.
         """
-        tolerance = 1e-9 * measure_extent(structure.nodes)
+        tolerance = RELIABLE * measure_diagonal(structure.nodes)
         for node, axis, value in _entries("NodePositions.positions", self.positions, structure):
             held = structure.nodes[node, axis]
             if structure.fixed[node, axis] and abs(value - held) > tolerance:
@@ -107,7 +108,7 @@ class NodePositions(Goal, kind="NodePositions"):
     def rows(self, structure: Structure, nodes: Any, velocities: Any) -> Rows:
         """Build the coordinates minus the desired ones.
 
-        Pinned coordinates have no residual.
+        Pinned coordinates at their goals have no residual.
 
         Parameters
         ----------
@@ -126,7 +127,7 @@ class NodePositions(Goal, kind="NodePositions"):
         return _rows(
             "NodePositions",
             self.places(structure),
-            structure,
+            np.where(structure.fixed, structure.nodes, np.inf),
             nodes,
             "m",
         )
@@ -239,7 +240,7 @@ class NodeVelocities(Goal, kind="NodeVelocities"):
         return _rows(
             "NodeVelocities",
             _entries("NodeVelocities.velocities", self.velocities, structure),
-            structure,
+            np.where(structure.fixed, 0.0, np.inf),
             velocities,
             "m/s",
         )
@@ -434,15 +435,20 @@ def _entries(field: str, given: Any, structure: Structure) -> list[tuple[int, in
 
 
 def _rows(
-    goal: str, entries: list[tuple[int, int, float]], structure: Structure, columns: Any, unit: str
+    goal: str, entries: list[tuple[int, int, float]], pinned: Array, columns: Any, unit: str
 ) -> Rows:
     """Build the residuals of prescribed coordinates or velocities of nodes.
 
-    ``columns`` (3×n) are the positions or velocities. Pinned axes have no residual. ``entries`` are
-    node, axis and value of each prescribed coordinate. ``goal`` begins the names of the residuals,
-    and ``unit`` is their unit.
+    ``columns`` (3×n) are the positions or velocities. ``entries`` are node, axis and value of each
+    prescribed coordinate. Those that pins satisfy have no residual: ``pinned`` (n, 3) are the
+    pinned values, inf along free axes. ``goal`` begins the names of the residuals, and ``unit`` is
+    their unit.
     """
-    free = [(node, axis, value) for node, axis, value in entries if not structure.fixed[node, axis]]
+    free = [
+        (node, axis, value)
+        for node, axis, value in entries
+        if not abs(value - pinned[node, axis]) <= NEGLIGIBLE * max(abs(value), 1.0)
+    ]
     value = ca.vertcat(*(columns[axis, node] - wanted for node, axis, wanted in free))
     return Rows(
         value,

@@ -20,7 +20,7 @@ PLAN = ocp.Variational(10)
 @cache
 def jump():
     """The task, and what it says of a push and a flight to 0.2 m."""
-    task = link_problem(jumping(push(), flight(0.2)), ocp.Variational(20))
+    task = link_problem(jumping(push(), flight(0.2)), ocp.Variational(20), 0.01)
     solution = ocp.Ipopt().solve(task.program)
     assert solution.success
     return task, task.values(solution.w)
@@ -71,7 +71,7 @@ def test_reactions_are_those_of_pins():
             push(duration=0.4, goals=[ocp.CenterOfMass((None, None, 0.25)), ocp.AtRest()]),
             costs=[ocp.Smoothness()],
         )
-        task = link_problem(squat, ocp.Variational(count))
+        task = link_problem(squat, ocp.Variational(count), 0.01)
         solution = ocp.Ipopt().solve(task.program)
         assert solution.success
         (stance,) = task.values(solution.w)
@@ -121,7 +121,7 @@ def landing():
         start=np.asarray(model.state(nodes, velocities)),
         costs=[ocp.Effort()],
     )
-    task = link_problem(problem, PLAN)
+    task = link_problem(problem, PLAN, 0.01)
     solution = ocp.Ipopt().solve(task.program)
     assert solution.success, solution.status
     air, stance = task.values(solution.w)
@@ -250,7 +250,7 @@ def test_a_shape_is_a_goal_of_nodes_that_land():
         push(duration=(0.1, 0.6), goals=[ocp.StringLengths({0: 0.9 * wanted[0]})]),
     )
     nodes = low_prism().nodes + [0, 0, 0.1]
-    task = link_problem(jumping(air, stance, start=nodes), PLAN)
+    task = link_problem(jumping(air, stance, start=nodes), PLAN, 0.01)
     solution = ocp.Ipopt().solve(task.program)
     assert solution.success
     end = task.parts[0].model.nodes(task.values(solution.w)[-1].states[-1])

@@ -172,6 +172,26 @@ def test_callbacks_run_in_the_calling_thread():
     assert threads == {threading.current_thread()}
 
 
+def test_rounded_nodes_of_a_pinned_structure_are_planned():
+    """Bars and pins contradict the goals by up to 5 mm, half of the tolerance."""
+    structure = tc.shapes.prism(radius=0.3, height=0.6, pinned=[0, 1, 2])
+    model = driven(structure)
+    run = tc.simulate(model, 0.5, 1e-3, control=np.linspace(2.0, 20.0, 9), compiled=False)
+    wanted = run.nodes[-1].round(2)
+    assert np.abs(wanted - structure.nodes)[:3].max() > 1e-4
+    bounds = [ocp.ForceDensityLimits(1.0, 30.0)]
+    goals = [ocp.NodePositions(wanted)]
+    problem = ocp.Problem(model, 0.5, goals=goals, bounds=bounds, costs=[ocp.Effort()])
+    plan = ocp.solve(problem)
+    assert plan.success
+    assert "goals are met up to" in plan.message
+    off = np.abs(plan.replay().nodes[-1] - wanted).max()
+    assert plan.replay_error == pytest.approx(off, abs=1e-6)
+    assert off < 0.01
+    with pytest.raises(ocp.InfeasibleGoalError, match="misses its goal by"):
+        ocp.solve(problem, tolerance=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.5, 2.0])
 @pytest.mark.parametrize(
