@@ -10,6 +10,7 @@ from ocp.solvers.base import Solution, Solver
 from ocp.solvers.monitor import Monitor
 from ocp.transcription.fine_steps import Measure, MotionResidual
 from ocp.transcription.sparse_nlp import Program
+from tenscasadi.util.linear_algebra import AndersonMixing
 from tenscasadi.util.validate import Array
 
 TOO_COARSE = (
@@ -48,8 +49,8 @@ def solve_corrected(
     at most `accuracy`, and the states of fine steps satisfy the limits. The discretization residual shifts the bounds of the constraints, and the
     program is solved again (Stetter, Numer. Math. 1978, 29, 425). Only bounds change, so nothing is
     built again. Each round leaves a fraction of the residual that is about the relative error of
-    the discretization. Costs keep the error of the discretization, so the plan is optimal only up
-    to it.
+    the discretization, or less: the shifts extrapolate those before. Costs keep the error of the
+    discretization, so the plan is optimal only up to it.
     """
     most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
     solution = solver.solve(program, monitor)
@@ -58,6 +59,7 @@ def solve_corrected(
     if not solution.success:
         return best
     rest: MotionResidual | None = None
+    mixing = AndersonMixing()
     for done in range(most + 1):
         rest = measure(solution.w, rest)
         if rest.error < best.error:
@@ -68,7 +70,8 @@ def solve_corrected(
         met = bool(done) and rest.error <= accuracy and rest.kept
         if met or late or done == most or not rest.size < left * last:
             break
-        last, program = rest.size, program.shift_rows(rest.shift, solution.w, solution.multipliers)
+        last, shift = rest.size, mixing.step(rest.shift)
+        program = program.shift_rows(shift, solution.w, solution.multipliers)
         solution = correct(program, monitor)
         iterations += solution.iterations
         if not solution.success:

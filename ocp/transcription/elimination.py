@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,28 +14,78 @@ from scipy.sparse import _sparsetools  # no public call multiplies in place
 from tenscasadi.util.validate import Array, Booleans, Indices
 
 
-class Elimination:
-    """Direct solver of a sparse linear system and its transpose.
+class SparseRows(NamedTuple):
+    """Sparse matrix by rows.
 
-    The systems are A x = b and Aᵀ x = b. A is permuted to its finest block triangular form. The
-    constant parts of diagonal blocks are factorized once, by sparse LU. Only their Schur
-    complements are inverted again, in one batch for all blocks of equal sparsity.
+    Attributes
+    ----------
+    values : ndarray
+        Non-zeros, row by row.
+    columns : ndarray of int
+        Their columns.
+    starts : ndarray of int
+        Place of the first non-zero of each row, and the number of non-zeros.
+    shape : tuple of int
+        Numbers of rows and columns.
+    """
+
+    values: Array
+    columns: Any
+    starts: Any
+    shape: tuple[int, int]
+
+    @classmethod
+    def of(cls, matrix: sp.csr_array) -> SparseRows:
+        """Convert a matrix of SciPy."""
+        return cls(matrix.data, matrix.indices, matrix.indptr, matrix.shape)
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """The rows as a SciPy sparse matrix."""
+        return sp.csr_array((self.values, self.columns, self.starts), shape=self.shape)
+
+    def squared(self) -> SparseRows:
+        """Square each non-zero."""
+        return self._replace(values=self.values**2)
+
+    def times(self, x: Array) -> Array:
+        """Multiply by x (n,)."""
+        result = np.zeros(self.shape[0])
+        _sparsetools.csr_matvec(*self.shape, self.starts, self.columns, self.values, x, result)
+        return result
+
+    def transposed_times(self, x: Array) -> Array:
+        """Multiply the transpose by x (m,)."""
+        (m, n), result = self.shape, np.zeros(self.shape[1])
+        _sparsetools.csc_matvec(n, m, self.starts, self.columns, self.values, x, result)
+        return result
+
+
+class Elimination:
+    """Direct solver of a bordered sparse linear system and its transpose.
+
+    The matrix is [A B; 0 I]. B is the border, and I the identity. A is permuted to its finest
+    block triangular form. The constant parts of diagonal blocks are factorized once, by sparse LU.
+    Only their Schur complements are inverted again, in one batch for all blocks of equal sparsity.
 
     Parameters
     ----------
     rows, columns : ndarray of int
-        Row and column indices of the entries of A (n, n).
+        Row and column indices of the entries of A (n, n), and of B in the columns from n on.
     size : int
         Number n of rows.
     constant : ndarray of bool
         Whether each entry is constant.
     sample : ndarray
         Values of all entries. Only those of constant entries are used.
+    border : int
+        Number of columns of B.
 
     Attributes
     ----------
     by_row, by_column : ndarray of int, shape (n,)
-        Order of the rows of A in b, and of its unknowns in x.
+        Order of the rows of A in the right-hand sides, and of its unknowns in the solutions. The
+        entries of the border follow.
 
     Raises
     ------
@@ -44,16 +94,25 @@ class Elimination:
     """
 
     def __init__(
-        self, rows: Indices, columns: Indices, size: int, constant: Booleans, sample: Array
+        self,
+        rows: Indices,
+        columns: Indices,
+        size: int,
+        constant: Booleans,
+        sample: Array,
+        border: int = 0,
     ) -> None:
-        of_row, of_column = _find_blocks(rows, columns, size)
+        own = columns < size
+        of_row, of_column = _find_blocks(rows[own], columns[own], size)
         self.by_row, self.by_column = (
             np.argsort(block, kind="stable") for block in (of_row, of_column)
         )
-        row, column = np.argsort(self.by_row)[rows], np.argsort(self.by_column)[columns]
-        block = np.sort(of_row)
-        self._groups = _group_alike(block, row, column, constant, sample)
-        fixed_row, fixed_column = np.zeros((2, size), dtype=bool)
+        row, column = np.argsort(self.by_row)[rows], columns.copy()
+        column[own] = np.argsort(self.by_column)[columns[own]]
+        self.border = slice(size, size + border)
+        block = np.append(np.sort(of_row), np.full(border, -1))  # before all others
+        self._groups = _group_alike(block[:size], row, column, constant, sample)
+        fixed_row, fixed_column = np.zeros((2, size + border), dtype=bool)
         for group in self._groups:
             fixed_row[group.places[:, group.one]] = True
             fixed_column[group.places[:, group.ones]] = True
@@ -61,9 +120,9 @@ class Elimination:
         nothing = np.zeros(0, dtype=np.intp)
         pairs = [(nothing, nothing), *(group.inverse_places() for group in self._groups)]
         unknowns, rows = (np.concatenate(own) for own in zip(*pairs, strict=True))
-        self._forward = _Substitution(block, row, column, factors, (unknowns, rows))
+        self._forward = _Substitution(block, row, column, factors, (unknowns, rows), border)
         back = -block, column, row, factors.transpose(), (rows, unknowns)
-        self._backward = _Substitution(*back)
+        self._backward = _Substitution(*back, border)
 
     def factor(self, values: Array) -> None:
         """Factorize A with new values of its nonzeros."""
@@ -73,12 +132,26 @@ class Elimination:
         self._backward.take(numbers)
 
     def solve(self, b: Array) -> Array:
-        """Solve A x = b (n, r), with b ordered by `by_row`."""
+        """Solve A x + B y = f for b = (f, y) (n + border,).
+
+        Returns (x, y). Rows of f are ordered by `by_row`, those of x by `by_column`.
+        """
         return self._forward.substitute(b)
 
     def solve_transposed(self, b: Array) -> Array:
-        """Solve Aᵀ x = b (n, r), with b ordered by `by_column`."""
+        """Solve Aᵀ x = f for b = (f, g) (n + border,).
+
+        Returns (x, g − Bᵀ x). Rows of f are ordered by `by_column`, those of x by `by_row`.
+        """
         return self._backward.substitute(b)
+
+    def reduce(self, rows: SparseRows, weights: Array) -> Array:
+        """Compute g − Bᵀ x of the transposed system for many right-hand sides.
+
+        The right-hand sides (f, g) are the combinations of `rows` (k, n + border) with the columns
+        of `weights` (k, r). Returns the results (border, r).
+        """
+        return self._backward.reduce(rows, weights)
 
 
 def _find_blocks(rows: Indices, columns: Indices, size: int) -> tuple[Indices, Indices]:
@@ -181,7 +254,8 @@ def _group_alike(
     places of all nonzeros. `constant` and `sample` are those of `Elimination`.
     """
     starts = np.searchsorted(block, np.arange(block.max(initial=-1) + 2))
-    inside = np.flatnonzero(block[row] == block[column])
+    inside = np.flatnonzero(column < len(block))
+    inside = inside[block[row[inside]] == block[column[inside]]]
     order = inside[np.lexsort((column[inside], row[inside]))]
     cuts = np.searchsorted(block[row[order]], np.arange(len(starts)))
     alike: dict[tuple[int, bytes], tuple[Indices, list[int], list[Indices]]] = {}
@@ -274,7 +348,8 @@ class _Substitution:
 
     The unknowns of the block are x and y. `block` (n,) is the rank of the block of each row and
     column. `row` and `column` (nnz,) are the places of the nonzeros, and `factors` those of all M.
-    S⁻¹ has entries at the columns and rows `inverse_places` of A.
+    S⁻¹ has entries at the columns and rows `inverse_places` of A. The last `border` rows and
+    columns are those of the identity: their s are unknowns already.
     """
 
     def __init__(
@@ -284,13 +359,15 @@ class _Substitution:
         column: Indices,
         factors: _Factors,
         inverse_places: tuple[Indices, Indices],
+        border: int,
     ) -> None:
         n, m = len(block), len(factors.pivots)
         at_row, at_column = factors.at_row, factors.at_column
         # numbers of the rows a, c, d, x (m each), s and y (n each)
         given = np.where(at_row >= 0, at_row, 4 * m + np.arange(n))
         found = np.where(at_column >= 0, 3 * m + at_column, 4 * m + n + np.arange(n))
-        position = _order_rows(block, at_row, at_column, m)
+        found[n - border :] = given[n - border :]
+        position = _order_rows(block, at_row, at_column, m, border)
         inside = block[row] == block[column]
         of_row, of_column = inside & (at_row[row] >= 0), inside & (at_column[column] >= 0)
         used = np.flatnonzero(~inside | (of_row != of_column))
@@ -315,37 +392,54 @@ class _Substitution:
         self._columns = columns[order].astype(np.int32)
         self._size = int(position.max(initial=-1)) + 1
         self._starts = np.searchsorted(rows[order], np.arange(self._size + 1)).astype(np.int32)
-        self._given, self._found = position[given], position[found]
+        self._given, self._found = (position[own].astype(np.int32) for own in (given, found))
+        self._border, self._space = border, np.zeros(0)
 
     def take(self, numbers: Array) -> None:
         """Store new values: 1, the nonzeros of A, and the entries of the inverses."""
         self._values = self._weights * numbers[self._sources]
 
     def substitute(self, b: Array) -> Array:
-        """Solve for the right-hand side b (n, r)."""
-        x, most = np.empty(b.shape), 64  # columns at once: more leave the cache
+        """Solve for the right-hand side b (n,)."""
+        rows = np.zeros(self._size)
+        rows[self._given] = b
+        matrix = self._starts, self._columns, self._values
+        # in place: earlier rows are results already
+        _sparsetools.csr_matvec(self._size, self._size, *matrix, rows, rows)
+        return rows.take(self._found)
+
+    def reduce(self, sides: SparseRows, weights: Array) -> Array:
+        """Solve for many right-hand sides; return the unknowns of the border.
+
+        They are the combinations of the rows `sides` (k, n) with the columns of `weights` (k, r).
+        """
+        result, most = np.empty((self._border, weights.shape[1])), 32  # more leave the cache
         size, matrix = self._size, (self._starts, self._columns, self._values)
-        space = np.empty(size * min(most, b.shape[1]))  # one for all, as fresh memory is slow
-        for first in range(0, b.shape[1], most):
-            own = b[:, first : first + most]
-            flat = space[: size * own.shape[1]]
-            rows = flat.reshape(size, -1)
+        places = self._given[sides.columns]
+        if len(self._space) < size * min(most, weights.shape[1]):
+            self._space = np.empty(size * most)  # kept, as fresh memory is slow
+        for first in range(0, weights.shape[1], most):
+            own = weights[:, first : first + most]
+            count, used = own.shape[1], np.flatnonzero(own.any(axis=1))
+            part = slice(used.min(initial=len(own)), used.max(initial=-1) + 1)
+            begun = sides.starts[part.start :], places, sides.values, own[part].ravel()
+            rows = self._space[: size * count]
             rows[:] = 0.0
-            rows[self._given] = own
-            # in place: earlier rows are results already
-            if own.shape[1] == 1:
-                _sparsetools.csr_matvec(size, size, *matrix, flat, flat)
-            else:
-                _sparsetools.csr_matvecs(size, size, own.shape[1], *matrix, flat, flat)
-            x[:, first : first + most] = rows.take(self._found, axis=0)
-        return x
+            _sparsetools.csc_matvecs(size, len(own[part]), count, *begun, rows)
+            _sparsetools.csr_matvecs(size, size, count, *matrix, rows, rows)
+            # the border is last
+            result[:, first : first + most] = rows.reshape(size, count)[size - self._border :]
+        return result
 
 
-def _order_rows(block: Indices, at_row: Indices, at_column: Indices, count: int) -> Indices:
+def _order_rows(
+    block: Indices, at_row: Indices, at_column: Indices, count: int, border: int
+) -> Indices:
     """Order the rows of a substitution so that each depends on earlier ones.
 
     `block`, `at_row` and `at_column` (n,) are those of `_Substitution` and `_Factors`, and `count`
-    is the number of rows of the constant parts. Returns the place of each row, −1 for unused ones.
+    is the number of rows of the constant parts. The last `border` unknowns have no row y. Returns
+    the place of each row, −1 for unused ones.
     """
     own, k = np.flatnonzero(at_row >= 0), np.arange(count)
     of_factors = np.empty(count, dtype=np.intp)
@@ -354,7 +448,9 @@ def _order_rows(block: Indices, at_row: Indices, at_column: Indices, count: int)
     blocks = np.concatenate([*[of_factors] * 4, block, block])
     stages = np.repeat([0, 1, 4, 5, 2, 3], [*[count] * 4, len(n), len(n)])
     ranks = np.concatenate([k, -k, k, -k, n, n])
-    used = np.concatenate([np.ones(4 * count, dtype=bool), at_row < 0, at_column < 0])
+    solved = at_column < 0
+    solved[len(n) - border :] = False
+    used = np.concatenate([np.ones(4 * count, dtype=bool), at_row < 0, solved])
     order = np.lexsort((ranks, stages, blocks))
     place = np.full(len(order), -1)
     place[order[used[order]]] = np.arange(int(used.sum()))

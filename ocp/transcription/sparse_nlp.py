@@ -423,10 +423,11 @@ class _SparseMatrix:
             J = ca.mtimes(ca.DM(block.combination), own(s))
         row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
         function = ca.Function("derivative", [s], [_nonzeros(J)])
-        depends = function.jac_sparsity(0, 0).get_triplet()
-        varying = np.zeros(len(row), dtype=bool)
-        unknown = set(np.flatnonzero((block.index < self._unknowns.count).any(axis=0)).tolist())
-        varying[[k for k, entry in zip(*depends, strict=True) if entry in unknown]] = True
+        unknown = (block.index < self._unknowns.count).any(axis=0)
+        kinds = [symbol_kind(function).sym("z", int(one.sum())) for one in (unknown, ~unknown)]
+        place = np.argsort(np.argsort(~unknown, kind="stable"))  # of each entry, unknowns first
+        values = function(ca.vertcat(*kinds)[place.tolist()])
+        varying = np.array(ca.which_depends(values, kinds[0], 1, True), dtype=bool)
         return function.map(block.count)(z), row, places[column], varying
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:

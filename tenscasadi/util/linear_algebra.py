@@ -146,3 +146,28 @@ def _build_mx_solver(A: Any) -> Callable[[Any], Any]:
 def _build_sx_solver(A: Any) -> Callable[[Any], Any]:
     D, LT, permutation = ca.ldl(A)
     return lambda rhs: ca.ldl_solve(rhs, D, LT, permutation)
+
+
+class AndersonMixing:
+    """Acceleration of a fixed-point iteration x ← x + f(x).
+
+    The next step is that of a secant model of f from the last few steps (D. G. Anderson, J. ACM
+    1965, 12, 547).
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array] | None = None
+        self._pairs: list[tuple[Array, Array]] = []
+
+    def step(self, change: Array) -> Array:
+        """Compute the step of x from the change f(x) of the plain iteration."""
+        step = change
+        if self._last is not None:
+            moved, before = self._last
+            self._pairs = [*self._pairs[-2:], (moved, change - before)]
+            steps, slopes = (np.stack(own, axis=-1) for own in zip(*self._pairs, strict=True))
+            flat = slopes.reshape(-1, len(self._pairs))
+            share = np.linalg.lstsq(flat, change.ravel(), rcond=None)[0]
+            step = change - (steps + slopes) @ share
+        self._last = step, change
+        return step

@@ -5,15 +5,13 @@ It has first and second derivatives with respect to the controls.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse import _sparsetools  # without SciPy's matrices, plans take 6 to 9 % less time
 
 from ocp.solvers.condensed_newton.bounds import VariableBounds
-from ocp.transcription.elimination import Elimination
+from ocp.transcription.elimination import Elimination, SparseRows
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.casadi_tools import ArrayFunction
 from tenscasadi.util.validate import Array, Indices
@@ -76,16 +74,13 @@ class CondensedProgram:
         others = np.setdiff1d(np.arange(len(program.lower)), left_out)
         equal = program.lower[others] == program.upper[others]
         self.goal_rows, self.path_rows = others[equal], others[~equal]
-        count = len(program.lower)
-        to_s, to_u = _numbers(self.s, n), _numbers(self.u, n)
+        both = _numbers(np.append(self.s, self.u), n)
         self._parts = [
-            [_SparseBlock(row, column, _numbers(rows, count), to) for to in (to_s, to_u)]
+            _SparseBlock(row, column, _numbers(rows, len(program.lower)), both)
             for rows in (self.goal_rows, self.path_rows)
         ]
-        to_defect = _numbers(self.defect_rows, count)
-        self._defects_by_u = _SparseBlock(row, column, to_defect, to_u)
         i, j = _places(functions["nlp_hess_l"].sparsity_out(0))
-        off, both = np.flatnonzero(i != j), _numbers(np.append(self.s, self.u), n)
+        off = np.flatnonzero(i != j)
         self._symmetric = np.append(np.arange(len(i)), off)
         self._second = _SparseBlock(np.append(i, j[off]), np.append(j, i[off]), both, both)
         self.bounds = VariableBounds(program.w_lower[self.u], program.w_upper[self.u])
@@ -104,13 +99,13 @@ class CondensedProgram:
             or np.isfinite([program.w_lower[determined], program.w_upper[determined]]).any()
         ):
             raise UndeterminedError("the defects do not determine as many unknowns without limits")
-        own = np.flatnonzero(np.isin(row, defects) & np.isin(column, determined))
+        own = np.flatnonzero(np.isin(row, defects))
         constant, sample = program.parts.constant_entries, self._jacobian(program.first)[1]
-        entry_rows = np.searchsorted(defects, row[own])
-        entry_columns = np.searchsorted(determined, column[own])
+        to_all = _numbers(np.append(determined, self.u), n)
+        entries = _numbers(defects, len(program.lower))[row[own]], to_all[column[own]]
         values = constant[own], sample.ravel()[own]
         try:
-            self.elimination = Elimination(entry_rows, entry_columns, len(defects), *values)
+            self.elimination = Elimination(*entries, len(defects), *values, len(self.u))
         except ValueError as error:
             raise UndeterminedError(str(error)) from None
         self._of_elimination = own
@@ -137,7 +132,8 @@ class CondensedProgram:
 
         `expansion` has their derivatives.
         """
-        left, sizes, _ = np.linalg.svd(expansion.jacobian, full_matrices=False)
+        triangle = np.asarray(np.linalg.qr(expansion.jacobian.T, mode="r"))
+        left, sizes, _ = np.linalg.svd(triangle.T, full_matrices=False)
         kept = sizes > 1e-8 * sizes.max(initial=0.0)
         self.independent = None if kept.all() else left[:, kept].T
 
@@ -200,27 +196,15 @@ class Expansion:
         self._of, self._u, self._s = of, u, s
         values, slope = of.jacobian_values(u, s), of.slope(u, s)
         of.elimination.factor(values[of._of_elimination])
-        self._by_u = of._defects_by_u.at(values)
-        self._goals, self._paths = ([part.at(values) for part in own] for own in of._parts)
-        if of.independent is not None:
-            self._goals = [
-                SparseRows.of(sp.csr_array(of.independent @ one.matrix)) for one in self._goals
-            ]
-        self._slope_s = slope[of.s]
-        by_s, by_u = (
-            _beside(one, own)
-            for one, own in zip(self._goals, (self._slope_s, slope[of.u]), strict=True)
-        )
-        every = self._reduce(by_s, by_u)
-        self.jacobian, self.slope = np.ascontiguousarray(every[:, :-1].T), every[:, -1].copy()
+        self._goals, self._paths = (part.at(values) for part in of._parts)
+        self._slope = np.append(slope[of.s], slope[of.u])
+        self.slope = self._reduce(self._slope)
+        combined = np.eye(len(of.goal_rows)) if of.independent is None else of.independent.T
+        self.jacobian = of.elimination.reduce(self._goals, combined).T
 
-    def _reduce(self, by_s: Array, by_u: Array) -> Array:
-        """Compute total derivatives (n, r) with respect to u.
-
-        They follow from the partial ones with respect to s and u; `by_s` is overwritten. `by_s` has
-        a row for each entry of s, `by_u` (n, r) for each entry of u.
-        """
-        return by_u - self._by_u.transposed_times(self._of.elimination.solve_transposed(by_s))
+    def _reduce(self, partial: Array) -> Array:
+        """Compute total derivatives (n,) with respect to u from those with respect to (s, u)."""
+        return self._of.elimination.solve_transposed(partial)[self._of.elimination.border]
 
     def growth(self) -> float:
         """Estimate the change of s per unit of the defects.
@@ -228,7 +212,7 @@ class Expansion:
         It is the largest change of an entry of s if each defect changes by +1 or −1 at random.
         """
         signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(len(self._s), 2))
-        return float(np.abs(self._of.elimination.solve(signs)).max(initial=0.0))
+        return float(np.max([np.abs(self.follow(None, one)).max(initial=0.0) for one in signs.T]))
 
     def of_paths(self, weights: Array) -> Array:
         """Compute total derivatives (r, n) of combined path constraints.
@@ -237,8 +221,11 @@ class Expansion:
         """
         if not len(weights):
             return np.zeros((weights.shape[1], len(self._u)))
-        by_s, by_u = (one.transposed_times(weights) for one in self._paths)
-        return np.ascontiguousarray(self._reduce(by_s, by_u).T)
+        return self._of.elimination.reduce(self._paths, weights).T
+
+    def stack(self, of_paths: Array) -> Array:
+        """Append total derivatives (r, n) of path constraints to those of the goals."""
+        return np.vstack([self.jacobian, of_paths]) if len(of_paths) else self.jacobian
 
     def stiffness(self, of_paths: Array) -> Array:
         """Compute the Hessian's diagonal (n,) from path-constraint barriers.
@@ -246,33 +233,30 @@ class Expansion:
         It sums (∂c/∂u)² b'' over the path constraints c, where b'' (`of_paths`, (p,)) are the
         second derivatives of their barriers.
         """
-        return self._paths[1].squared().transposed_times(of_paths)
+        squared = self._paths.squared().transposed_times(of_paths)
+        return squared[self._of.elimination.border]
 
     def follow(self, step: Array | None, defects: Array | None) -> Array:
-        """Compute the linearized change of s for a step of u.
+        """Compute the linearized change of (s, u) for a step of u.
 
         With this change, the values of the defect constraints remain the same, or the given
         `defects` vanish. A step None keeps u.
         """
-        push = np.zeros(len(self._s)) if step is None else -self._by_u.times(step)
+        moved = np.zeros(len(self._s) + len(self._u))
         if defects is not None:
-            push = push - defects
-        return self._of.elimination.solve(push[:, None])[:, 0]
+            moved[: len(defects)] = -defects
+        if step is not None:
+            moved[self._of.elimination.border] = step
+        return self._of.elimination.solve(moved)
 
     def change(self, moved: Array) -> Array:
-        """Compute the change (m,) of the goals for a change of s.
+        """Compute the change (m,) of the goals for a change `moved` of (s, u)."""
+        change, independent = self._goals.times(moved), self._of.independent
+        return change if independent is None else independent @ change
 
-        `moved` is the change of s.
-        """
-        return self._goals[0].times(moved)
-
-    def path_change(self, moved: Array, step: Array | None) -> Array:
-        """Compute the change (p,) of path constraints along a step.
-
-        The step consists of the changes `moved` of s and `step` of u. A step None keeps u.
-        """
-        own = self._paths[0].times(moved)
-        return own if step is None else own + self._paths[1].times(step)
+    def path_change(self, moved: Array) -> Array:
+        """Compute the change (p,) of path constraints for a change `moved` of (s, u)."""
+        return self._paths.times(moved)
 
     def weigh(self, goal_duals: Array, path_duals: Array, stiffness: Array) -> None:
         """Set the duals and barrier curvatures that `curvature` uses.
@@ -282,78 +266,24 @@ class Expansion:
         from them.
         """
         of = self._of
-        pull = self._slope_s + self._goals[0].transposed_times(goal_duals)
-        pull = pull + self._paths[0].transposed_times(path_duals)
+        if of.independent is not None:
+            goal_duals = of.independent.T @ goal_duals
+        pull = self._slope + self._goals.transposed_times(goal_duals)
+        pull = pull + self._paths.transposed_times(path_duals)
         self.duals = np.zeros(len(of.program.lower))
-        self.duals[of.goal_rows] = (
-            goal_duals if of.independent is None else of.independent.T @ goal_duals
-        )
-        self.duals[of.defect_rows] = -of.elimination.solve_transposed(pull[:, None])[:, 0]
+        self.duals[of.goal_rows] = goal_duals
+        self.duals[of.defect_rows] = -of.elimination.solve_transposed(pull)[: len(of.s)]
         self.duals[of.path_rows] = path_duals
         self._second, self._stiffness = of.hessian(self._u, self._s, self.duals), stiffness
 
-    def curvature(self, step: Array, moved: Array) -> Array:
-        """Multiply the condensed Hessian of the Lagrangian by a step of u.
+    def curvature(self, moved: Array) -> Array:
+        """Multiply the condensed Hessian of the Lagrangian by a step.
 
-        `moved` is the change of s by the linearized dynamics. The result (n,) includes the
-        barriers.
+        `moved` is the change of (s, u) by the linearized dynamics. The result (n,) includes the
+        barriers of path constraints.
         """
-        by_s, by_u = np.split(self._second.times(np.append(moved, step)), [len(moved)])
-        push = self._stiffness * self.path_change(moved, step)
-        by_s = by_s + self._paths[0].transposed_times(push)
-        by_u = by_u + self._paths[1].transposed_times(push)
-        return self._reduce(by_s[:, None], by_u[:, None])[:, 0]
-
-
-class SparseRows(NamedTuple):
-    """Sparse matrix by rows.
-
-    Attributes
-    ----------
-    values : ndarray
-        Non-zeros, row by row.
-    columns : ndarray of int
-        Their columns.
-    starts : ndarray of int
-        Place of the first non-zero of each row, and the number of non-zeros.
-    shape : tuple of int
-        Numbers of rows and columns.
-    """
-
-    values: Array
-    columns: Any
-    starts: Any
-    shape: tuple[int, int]
-
-    @classmethod
-    def of(cls, matrix: sp.csr_array) -> SparseRows:
-        """Convert a matrix of SciPy."""
-        return cls(matrix.data, matrix.indices, matrix.indptr, matrix.shape)
-
-    @property
-    def matrix(self) -> sp.csr_array:
-        """The rows as a SciPy sparse matrix."""
-        return sp.csr_array((self.values, self.columns, self.starts), shape=self.shape)
-
-    def squared(self) -> SparseRows:
-        """Square each non-zero."""
-        return self._replace(values=self.values**2)
-
-    def times(self, x: Array) -> Array:
-        """Multiply by x (n,)."""
-        result = np.zeros(self.shape[0])
-        _sparsetools.csr_matvec(*self.shape, self.starts, self.columns, self.values, x, result)
-        return result
-
-    def transposed_times(self, x: Array) -> Array:
-        """Multiply the transpose by x (m,) or (m, r)."""
-        (m, n), result = self.shape, np.zeros((self.shape[1], *x.shape[1:]))
-        given = self.starts, self.columns, self.values, np.ravel(x), result.reshape(-1)
-        if x.ndim == 1:
-            _sparsetools.csc_matvec(n, m, *given)
-        else:
-            _sparsetools.csc_matvecs(n, m, x.shape[1], *given)
-        return result
+        push = self._stiffness * self.path_change(moved)
+        return self._reduce(self._second.times(moved) + self._paths.transposed_times(push))
 
 
 class _SparseBlock:
@@ -374,18 +304,6 @@ class _SparseBlock:
 
     def at(self, values: Array) -> SparseRows:
         return SparseRows(values[self.entries], self.columns, self.starts, self.shape)
-
-
-def _beside(matrix: SparseRows, column: Array) -> Array:
-    """Build the dense transpose of a sparse matrix, with an appended column.
-
-    The matrix is (m, n), the column (n,), and the result (n, m + 1).
-    """
-    result = np.zeros((matrix.shape[1], matrix.shape[0] + 1))
-    row = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.starts))
-    result[matrix.columns, row] = matrix.values
-    result[:, -1] = column
-    return result
 
 
 def _places(sparsity: ca.Sparsity) -> tuple[Indices, Indices]:

@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from ocp.solvers.condensed_newton.bounds import BoundDuals, WorkingSet
 from ocp.solvers.condensed_newton.condensed_program import CondensedProgram, Expansion
-from ocp.solvers.condensed_newton.iterate import Iterate, evaluate, move, step_back
+from ocp.solvers.condensed_newton.iterate import Iterate, Linearization, evaluate, move
 from ocp.solvers.condensed_newton.metric import Metric, Projector
 from ocp.solvers.condensed_newton.step import QuadraticModel, TrialStep
 from tenscasadi.util.validate import Array
@@ -80,7 +80,7 @@ class InteriorPoint:
         self.expansion, self.chosen = Expansion(of, u, s), np.zeros(0, dtype=np.intp)
         self.rows, self.give = self.expansion.jacobian, np.zeros(of.goals)
         point = evaluate(of, u, s, np.zeros(len(of.path_rows)))
-        first = step_back(self.expansion, self._project(0.0), self.chosen, point)
+        first = self._linearize(self._project(0.0)).step_back(point)
         level = 0.3 * float(np.sqrt(np.mean(first**2)))
         noise = 0.1 * level * np.random.default_rng(0).uniform(size=len(u))
         lifted = of.bounds.inside(of.bounds.inside(u, level, 0.2) + noise, 0.05, 0.05)
@@ -91,6 +91,9 @@ class InteriorPoint:
     def _project(self, stiffness: Array | float) -> Projector:
         diagonal = np.where(self.of.bounds.free, self.base + self.others + stiffness, 1e300)
         return Projector(self.rows, self.give, Metric(diagonal, self.rest))
+
+    def _linearize(self, projector: Projector) -> Linearization:
+        return Linearization(self.expansion, projector, self.chosen)
 
     def _stand(self, point: Iterate) -> None:
         """Move to an iterate and evaluate its derivatives."""
@@ -127,7 +130,7 @@ class InteriorPoint:
         weights[self.chosen, 3 + np.arange(len(self.chosen))] = 1.0
         found = self.expansion.of_paths(weights)
         self.path_slope, self.path_pull, self.path_force = found[:3] * free
-        self.rows = np.vstack([self.expansion.jacobian, found[3:]])
+        self.rows = self.expansion.stack(found[3:])
         # compliance 0 is of equations: an infinite barrier leaves a little
         give = np.maximum(1 / self.path_stiffness[self.chosen], 1e-300)
         self.give = np.append(np.zeros(self.of.goals), give)
@@ -263,7 +266,7 @@ class InteriorPoint:
                     break
                 if not tried.total < 10 * max(point.total, 100.0):
                     break
-                back = step_back(self.expansion, projector, self.chosen, tried)
+                back = self._linearize(projector).step_back(tried)
                 corrected = self._move(tried, back, 1.0)
                 worse = better and not self._is_better(corrected, share, falling)
                 if not corrected.total < tried.total or worse:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ocp.solvers.condensed_newton.condensed_program import (
     UndeterminedError,
 )
 from ocp.solvers.condensed_newton.interior_point import InteriorPoint
-from ocp.solvers.condensed_newton.iterate import evaluate, polish
+from ocp.solvers.condensed_newton.iterate import Linearization, evaluate, polish
 from ocp.solvers.monitor import Monitor, Progress
 from ocp.transcription.sparse_nlp import Program
 from tenscasadi.util.validate import NEGLIGIBLE, Boolean, Count, Positive
@@ -145,7 +144,7 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
 
         It is near the last iterate of `search`. `status` is the reason why the iteration ended.
         """
-        of, point = search.of, polish(search.of, search.point, 1e-11)
+        of, (point, _) = search.of, polish(search.of, search.point, 1e-11)
         goal_duals, path_duals, bound_duals = search.prices
         expansion = Expansion(of, point.u, point.s)
         expansion.weigh(goal_duals, path_duals, np.zeros(len(path_duals)))
@@ -153,23 +152,31 @@ class CondensedNewton(NamedSolver, kind="CondensedNewton"):
         limits[of.u] = bound_duals
         success = point.worst <= NEGLIGIBLE and status in SOLVED
         w, duals = of.join(point.u, point.s), (expansion.duals, limits)
-        correct = partial(self._correct, of)
+        correct = _Correction(of, self.tolerance)
         return Solution(w, success, status, search.iterations, duals, correct=correct)
 
-    def _correct(
-        self, of: CondensedProgram, moved: Program, monitor: Monitor | None = None
-    ) -> Solution:
-        """Find the nearest point that satisfies shifted constraint bounds.
 
-        Near an optimum, its cost exceeds the minimum by a term of second order. `moved` is the
-        program with these bounds and the initial guess. `of` is the program that was solved; its
-        bounds are replaced.
-        """
+class _Correction:
+    """Search for the nearest point that satisfies shifted constraint bounds.
+
+    Near an optimum, its cost exceeds the minimum by a term of second order. `of` is the program
+    that was solved; its bounds are replaced. `tolerance` is the largest permitted violation. All
+    corrections use the same linearization while it serves.
+    """
+
+    def __init__(self, of: CondensedProgram, tolerance: float) -> None:
+        self._of, self._tolerance = of, tolerance
+        self._known: Linearization | None = None
+
+    def __call__(self, moved: Program, monitor: Monitor | None = None) -> Solution:
+        """Correct the initial guess of `moved`, the program with these bounds."""
+        of = self._of
         of.move_rows(moved)
         u, s = moved.first[of.u], moved.first[of.s]
         with np.errstate(all="ignore"):
             slack = of.path_bounds.inside(of.values(u, s)[3], 1e-12, 0.2)
-            point = polish(of, evaluate(of, u, s, slack), NEGLIGIBLE)
+            start = evaluate(of, u, s, slack)
+            point, self._known = polish(of, start, NEGLIGIBLE, self._known)
         # rounding grows along unstable motions, and fine steps measure the rest
-        met = point.worst <= self.tolerance
+        met = point.worst <= self._tolerance
         return Solution(of.join(point.u, point.s), met, "corrected", 1, moved.multipliers)

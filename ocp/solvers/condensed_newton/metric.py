@@ -54,13 +54,17 @@ class Projector:
         self.count = int(np.count_nonzero(give == 0))
         self.soft, self.resisting = jacobian[self.count :], 1 / give[self.count :]
         if metric.rest is None and len(jacobian):
-            half = jacobian / np.sqrt(metric.diagonal)
-            # the lower half
-            matrix = scipy.linalg.blas.dsyrk(1.0, half.T, trans=1, lower=1)
-            self.spread = half / np.sqrt(metric.diagonal)  # J D⁻¹
+            matrix, most = np.zeros((len(jacobian),) * 2, order="F"), 1024  # more leave the cache
+            root = np.sqrt(metric.diagonal)
+            for first in range(0, len(root), most):
+                own = slice(first, first + most)
+                half = np.asfortranarray(jacobian[:, own] / root[own])
+                # the lower half
+                matrix = scipy.linalg.blas.dsyrk(
+                    1.0, half, beta=1.0, c=matrix, lower=1, overwrite_c=1
+                )
         else:
-            self.spread = np.ascontiguousarray(metric.solve(jacobian.T).T)
-            matrix = self.spread @ jacobian.T
+            matrix = jacobian @ metric.solve(jacobian.T)
         count = len(matrix)
         self.sizes = matrix.diagonal().copy()
         # a little more than rounding: rows that nothing moves stay harmless
@@ -94,14 +98,14 @@ class Projector:
         `rows` (m + p,) are the required changes of the constraints. The norm of d (n,) is that in
         D.
         """
-        return np.asarray(self.spread.T @ self.inner(rows))
+        return self.metric.solve(self.jacobian.T @ self.inner(rows))
 
     def duals(self, force: Array) -> Array:
         """Compute duals y (m,) that minimize the norm of force + Jᵀy.
 
         `force` (n,) is the gradient of a function.
         """
-        return -self.inner(self.spread @ force)[: self.count]
+        return -self.inner(self.jacobian @ self.metric.solve(force))[: self.count]
 
     def project(self, force: Array) -> Array:
         """Project a gradient onto the null space of J.
@@ -110,4 +114,4 @@ class Projector:
         D⁻¹ force.
         """
         w = self.metric.solve(force)
-        return w - self.spread.T @ self.inner(self.jacobian @ w)
+        return w - self.shortest(self.jacobian @ w)

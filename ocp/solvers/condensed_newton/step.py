@@ -77,12 +77,13 @@ class QuadraticModel:
         """
         expansion, projector = self.expansion, self.projector
         drift = expansion.follow(None, left.defects)
-        drifted = expansion.path_change(drift, None)[self.working]
+        drifted = expansion.path_change(drift)[self.working]
         normal = -projector.shortest(
             np.append(left.goals + expansion.change(drift), left.paths[self.working] + drifted)
         )
         if self.exact:
-            curved = self._curved(normal, expansion.follow(normal, left.defects))
+            moved = expansion.follow(normal, left.defects)
+            curved = expansion.curvature(moved) + self.stiffness * normal
         else:
             curved = projector.times(normal) + projector.soft.T @ (projector.resisting * drifted)
         found = self._descend(self.gradient + curved, radius)
@@ -90,7 +91,7 @@ class QuadraticModel:
         d, curved = normal + tangential, curved + change
         return TrialStep(
             d,
-            expansion.path_change(expansion.follow(d, left.defects), d) + left.paths,
+            expansion.path_change(expansion.follow(d, left.defects)) + left.paths,
             projector.norm(normal),
             projector.norm(tangential),
             projector.duals(self.gradient + curved),
@@ -103,10 +104,8 @@ class QuadraticModel:
         """Multiply the model's Hessian by a step of u."""
         if not self.exact:
             return self.projector.times(step)
-        return self._curved(step, self.expansion.follow(step, None))
-
-    def _curved(self, step: Array, moved: Array) -> Array:
-        return self.expansion.curvature(step, moved) + self.stiffness * step
+        curved = self.expansion.curvature(self.expansion.follow(step, None))
+        return curved + self.stiffness * step
 
     def _descend(self, force: Array, radius: float) -> tuple[Array, Array, bool, bool, int]:
         """Minimize by Steihaug's conjugate gradients along the constraints.

@@ -15,6 +15,7 @@ import tenscasadi as tc
 from ocp.problem.constraints import build_constraint
 from ocp.search.methods import program_of
 from ocp.solvers.condensed_newton import method
+from ocp.solvers.condensed_newton.condensed_program import Expansion
 from ocp.solvers.condensed_newton.interior_point import InteriorPoint
 from tests.support import planning
 
@@ -368,6 +369,28 @@ def test_corrections_make_the_motion_that_of_fine_steps():
     assert fine.objective == pytest.approx(
         ocp.solve(problem, ocp.Variational(15, accuracy=1e-6)).objective, rel=5e-3
     )
+
+
+def test_corrections_share_a_linearization(monkeypatch):
+    """Shifted goals and defects are met, as CasADi evaluates them, with derivatives of one point."""
+    built = program_of(CASES["ball"][0], ocp.Variational(15))
+    solution = ocp.CondensedNewton().solve(built)
+    made, rng = [], np.random.default_rng(0)
+    begin = Expansion.__init__
+    monkeypatch.setattr(Expansion, "__init__", lambda *given: (made.append(1), begin(*given))[1])
+    constraints = ca.Function("constraints", [built.problem["x"]], [built.problem["g"]])
+    counts, moved = [], built
+    for _ in range(3):
+        shift = 1e-4 * rng.uniform(-1, 1, len(built.lower))
+        shift[np.concatenate([np.arange(len(shift))[rows] for rows in built.rows("dependent")])] = 0
+        moved = moved.shift_rows(shift, solution.w, solution.multipliers)
+        found = solution.correct(moved, None)
+        counts.append(len(made))
+        values = constraints(found.w).full().ravel()
+        equal = (moved.lower == moved.upper) & (shift != 0)
+        assert found.success
+        assert values[equal] == pytest.approx(moved.lower[equal], abs=1e-8)
+    assert counts == [counts[0]] * 3
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from planning import leaning_arm, prism, program
 import ocp
 import tenscasadi as tc
 from ocp.solvers.correction import solve_corrected
+from tenscasadi.util.linear_algebra import AndersonMixing
 
 
 def rising(duration: float | tuple[float, float] = 1.0, *more: object) -> ocp.Problem:
@@ -136,6 +137,27 @@ def test_solvers_that_cannot_start_again_are_corrected_too():
     found = solve_corrected(built, Restarted(), measure, 1e-8)
     assert found.solution.success
     assert found.error < 1e-8
+
+
+def test_extrapolated_corrections_need_fewer_rounds(monkeypatch):
+    asked, transcription = rising(), ocp.Variational(6)
+    built = program(asked, transcription)
+    measure = transcription.measure_residual(built, asked.model)
+
+    def count_rounds() -> int:
+        rounds = []
+
+        def counted(w, near):
+            rounds.append(measure(w, near))
+            return rounds[-1]
+
+        found = solve_corrected(built, ocp.Ipopt(), counted, 1e-9)
+        assert found.error < 1e-9
+        return len(rounds)
+
+    extrapolated = count_rounds()
+    monkeypatch.setattr(AndersonMixing, "step", lambda self, change: change)
+    assert extrapolated <= count_rounds() - 2
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
-from ocp.transcription.elimination import Elimination
+from ocp.transcription.elimination import Elimination, SparseRows
 
 
 def random_matrix(rng, stages, width, fixed):
@@ -33,19 +34,30 @@ def random_matrix(rng, stages, width, fixed):
     seed=st.integers(0, 2**32 - 1),
     stages=st.integers(1, 6),
     width=st.integers(1, 24),
-    columns=st.integers(0, 3),
+    border=st.integers(0, 3),
+    columns=st.sampled_from([0, 1, 3, 70]),
 )
-def test_solutions_are_those_of_dense_matrices(seed, stages, width, columns):
+def test_solutions_are_those_of_dense_matrices(seed, stages, width, border, columns):
     rng = np.random.default_rng(seed)
     A, constant = random_matrix(rng, stages, width, width // 2)
-    rows, cols = np.nonzero(A)
-    own = Elimination(rows, cols, len(A), constant[rows, cols], A[rows, cols])
+    size = len(A)
+    outside = rng.normal(size=(size, border)) * (rng.uniform(size=(size, border)) < 0.5)
+    rows, cols = np.nonzero(np.hstack([A, outside]))
+    fixed = np.hstack([constant, outside != 0])[rows, cols]
+    own = Elimination(rows, cols, size, fixed, np.hstack([A, outside])[rows, cols], border)
+    sides = sp.csr_array(rng.normal(size=(5, size + border)) * (rng.uniform(size=5) < 0.7)[:, None])
     for _ in range(2):
-        own.factor(A[rows, cols])
-        ordered = A[own.by_row][:, own.by_column]
-        b = rng.normal(size=(len(A), columns))
-        assert np.allclose(own.solve(b.copy()), np.linalg.solve(ordered, b), atol=1e-8)
-        assert np.allclose(own.solve_transposed(b.copy()), np.linalg.solve(ordered.T, b), atol=1e-8)
+        own.factor(np.hstack([A, outside])[rows, cols])
+        bordered = np.eye(size + border)
+        bordered[:size, :size] = A[own.by_row][:, own.by_column]
+        bordered[:size, size:] = outside[own.by_row]
+        b, weights = rng.normal(size=size + border), rng.normal(size=(5, columns))
+        assert np.allclose(own.solve(b.copy()), np.linalg.solve(bordered, b), atol=1e-8)
+        solution = np.linalg.solve(bordered.T, b)
+        assert np.allclose(own.solve_transposed(b.copy()), solution, atol=1e-8)
+        many = np.linalg.solve(bordered.T, sides.toarray().T @ weights)[size:]
+        given = SparseRows(sides.data, sides.indices, sides.indptr, sides.shape)
+        assert np.allclose(own.reduce(given, weights), many, atol=1e-8)
         A = np.where(constant | (A == 0), A, A * rng.uniform(0.9, 1.1, A.shape))
 
 

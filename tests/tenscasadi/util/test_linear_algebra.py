@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tenscasadi.util.linear_algebra import (
+    AndersonMixing,
     find_blocks,
     null_space,
     semidefinite_inverse,
@@ -53,3 +54,14 @@ def test_parts_that_share_nothing_are_taken_apart():
     assert free.shape == (90, 90 - rank)
     assert free.T @ free == pytest.approx(np.eye(90 - rank), abs=1e-12)
     assert np.abs(A @ free).max() < 1e-12
+
+
+def test_mixing_solves_linear_fixed_points_in_few_steps():
+    """In three dimensions, three secants are exact; the plain iteration leaves 0.7⁵ of the error."""
+    rng = np.random.default_rng(0)
+    basis = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    A, b = basis @ np.diag([0.3, 0.8, 0.5]) @ basis.T, rng.normal(size=3)
+    x, mixing = np.zeros((3, 1)), AndersonMixing()
+    for _ in range(5):
+        x = x + mixing.step(b[:, None] - A @ x)
+    assert x[:, 0] == pytest.approx(np.linalg.solve(A, b), rel=1e-8)
