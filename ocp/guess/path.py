@@ -2,7 +2,7 @@
 
 They are initial guesses. A path moves nodes along straight lines. If the structure rotates as a
 whole, the lines are straight in a frame that rotates with it. If bars rotate far, each bar rotates
-about its own axis.
+about its own axis, and bars that form a rigid group about a common one.
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.interpolate
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from ocp.guess.inverse_dynamics import balance, inverse_dynamics
 from ocp.problem.problem import Problem
+from ocp.problem.rows import RESOLUTION
 from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, project_states
 from tenscasadi.dynamics.model import Model
@@ -221,7 +223,7 @@ def _spin(arms: Array, velocities: Array) -> Array:
 def _turn_bars(
     model: Model, nodes: Array, leaving: Array, arriving: Array, change: Array
 ) -> Array | None:
-    """Move nodes so that each bar rotates about an axis of its own.
+    """Move nodes so that each bar or rigid group of bars rotates about an axis of its own.
 
     Nodes are (P, n, 3) [m] at the times of the path. `leaving` and `arriving` are the initial and
     final velocities (n, 3), and `change` is the interpolation of rotation angles. Each bar rotates
@@ -247,16 +249,22 @@ def _turn_bars(
     axes[straight] = others[straight]
     axes /= np.maximum(np.linalg.norm(axes, axis=1), 1e-300)[:, None]
     rounds = np.round(((expected * axes).sum(axis=1) - angles) / (2 * np.pi))
-    angles += 2 * np.pi * rounds
-    if np.abs(angles).max() < LARGE_TURN:
-        return None
-    fixed, weight = structure.fixed.all(axis=1), 1e-2
+    vectors = (angles + 2 * np.pi * rounds)[:, None] * axes
     differences = np.zeros((len(ends), nodes.shape[1]))
     differences[np.arange(len(ends)), ends[:, 0]] = -1.0
     differences[np.arange(len(ends)), ends[:, 1]] = 1.0
+    _, label = connected_components(differences.T @ differences, directed=False)
+    for group in (label[ends[:, 0]] == k for k in np.unique(label[ends])):
+        first, last, least = b0[group], b1[group], RESOLUTION * l0.max()
+        apart = first @ fit_rotation(first, last).T - last
+        if np.linalg.matrix_rank(first, least) > 1 and np.abs(apart).max() < least:
+            vectors[group] = _list_turns(first, last, r0[group], r1[group])[:2][-1]
+    if np.linalg.norm(vectors, axis=1).max() < LARGE_TURN:
+        return None
+    fixed, weight = structure.fixed.all(axis=1), 1e-2
     stays = weight * np.where(fixed, 1e4, 1.0)[:, None]
     solve = np.linalg.pinv(np.vstack([differences, stays * np.eye(nodes.shape[1])]))
-    turns = Rotation.from_rotvec((change[:, None, None] * angles[:, None] * axes).reshape(-1, 3))
+    turns = Rotation.from_rotvec((change[:, None, None] * vectors).reshape(-1, 3))
     turned = turns.apply(np.tile(b0, (len(change), 1))).reshape(len(change), *b0.shape)
     bars = turned * (1 + change[:, None, None] * (l1 / l0 - 1))
     return np.asarray(solve @ np.concatenate([bars, stays * nodes], axis=1))
