@@ -56,25 +56,17 @@ def inverse_dynamics(
     count = len(middle)
     linear = EquationDerivatives.of(model).at(middle, np.zeros((count, model.nu)))
     free = model.split(linear.rates)[1]
-    A = accelerations = linear.accelerations_by_control()
-    size = np.sqrt(np.maximum(np.linalg.eigvalsh(A.transpose(0, 2, 1) @ A)[:, -1:], 1e-300))
-    A = np.concatenate(
-        [
-            A / size[:, None],
-            np.broadcast_to(
-                np.sqrt(REFERENCE_WEIGHT) * np.eye(model.nu), (count, model.nu, model.nu)
-            ),
-        ],
-        axis=1,
+    accelerations = linear.accelerations_by_control()
+    transposed = accelerations.transpose(0, 2, 1)
+    squares = transposed @ accelerations
+    size = np.maximum(np.linalg.eigvalsh(squares)[:, -1:], 1e-300)
+    pulls = (transposed @ (wanted - free)[:, :, None])[:, :, 0] / size
+    found = _minimize_quadratics(
+        squares / size[:, :, None] + REFERENCE_WEIGHT * np.eye(model.nu),
+        pulls + REFERENCE_WEIGHT * _interpolate(*ends, count),
+        lower,
+        upper,
     )
-    b = np.concatenate(
-        [
-            (wanted - free) / size,
-            np.sqrt(REFERENCE_WEIGHT) * _interpolate(*ends, count),
-        ],
-        axis=1,
-    )
-    found = _solve_least_squares(A, b, lower, upper)
     rest = wanted - free - (accelerations @ found[:, :, None])[:, :, 0]
     error = float(np.nan_to_num(np.mean(rest**2), nan=np.inf))
     if controls_force_densities(problem.model):
@@ -171,43 +163,40 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
     )
 
 
-def _solve_least_squares(A: Array, b: Array, lower: Array, upper: Array) -> Array:
-    """Solve n bounded least-squares problems min ‖A x − b‖.
+def _minimize_quadratics(H: Array, c: Array, lower: Array, upper: Array) -> Array:
+    """Solve n bounded quadratic programs min ½ xᵀH x − cᵀx.
 
-    A has the shape (n, m, k) and b (n, m). All x have the bounds `lower` and `upper` (k,). The
-    result is (n, k).
+    H (n, k, k) are positive definite, and c is (n, k). All x have the bounds `lower` and `upper`
+    (k,). The result is (n, k).
 
     A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
     2002, 13, 865). It usually needs five iterations, but may cycle: SciPy then solves the remaining
     problems.
     """
-    H, c = A.transpose(0, 2, 1) @ A, (A.transpose(0, 2, 1) @ b[:, :, None])[:, :, 0]
-    held = lower == upper
-    side = np.where(held, -1, np.zeros(c.shape))
-    x = np.zeros_like(c)
+    held, left = lower == upper, np.arange(len(c))
+    side, x = np.where(held, -1, np.zeros(c.shape)), np.zeros_like(c)
     for _ in range(20):
-        fixed = np.where(side < 0, lower, np.where(side > 0, upper, 0.0))
-        free = side == 0
-        masked = H * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(
+        own, pull, before = H[left], c[left], side[left]
+        fixed = np.where(before < 0, lower, np.where(before > 0, upper, 0.0))
+        free = before == 0
+        masked = own * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(
             c.shape[1]
         )
-        x = np.linalg.solve(
-            masked, np.where(free, c - (H @ fixed[:, :, None])[:, :, 0], fixed)[:, :, None]
-        )[:, :, 0]
-        slope = (H @ x[:, :, None])[:, :, 0] - c
-        down, up = (
-            (x < lower) | ((side < 0) & (slope >= 0)) | held,
-            (x > upper) | ((side > 0) & (slope <= 0)),
-        )
-        before, side = side, np.where(down, -1, np.where(up & ~held, 1, 0))
-        open_ = np.any(before != side, axis=1)
-        if not open_.any():
+        wanted = np.where(free, pull - (own @ fixed[:, :, None])[:, :, 0], fixed)
+        now = np.linalg.solve(masked, wanted[:, :, None])[:, :, 0]
+        slope = (own @ now[:, :, None])[:, :, 0] - pull
+        down = (now < lower) | ((before < 0) & (slope >= 0)) | held
+        up = (now > upper) | ((before > 0) & (slope <= 0))
+        x[left], side[left] = now, np.where(down, -1, np.where(up & ~held, 1, 0))
+        left = left[np.any(before != side[left], axis=1)]
+        if not len(left):
             return np.asarray(x)
     loose = ~held  # lsq_linear requires lower < upper
-    for k in np.flatnonzero(open_):
+    for k in left:
+        root = np.linalg.cholesky(H[k]).T
         inner = scipy.optimize.lsq_linear(
-            A[k][:, loose],
-            b[k] - A[k][:, held] @ lower[held],
+            root[:, loose],
+            np.linalg.solve(root.T, c[k]) - root[:, held] @ lower[held],
             (lower[loose], upper[loose]),
             method="bvls",
         )

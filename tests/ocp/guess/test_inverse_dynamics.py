@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.optimize
 
 import ocp
 import tenscasadi as tc
+from ocp.guess.inverse_dynamics import _minimize_quadratics
 from ocp.guess.path import make_guess
 from ocp.problem.scaling import Scales
 from ocp.targets.find_target import find_target
@@ -27,3 +29,18 @@ def test_the_guess_holds_a_structure_at_rest_in_equilibrium():
         assert model.ode(guess.states[0], gamma).full() == pytest.approx(
             np.zeros((model.nx, 1)), abs=0.05
         )
+
+
+def test_bounded_minima_are_those_of_scipy():
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(8, 6, 4)), 3.0 * rng.normal(size=(8, 6))
+    lower, upper = np.array([-0.5, 0.0, -1.0, 0.2]), np.array([0.5, np.inf, 1.0, 0.2])
+    transposed = A.transpose(0, 2, 1)
+    found = _minimize_quadratics(
+        transposed @ A, (transposed @ b[:, :, None])[:, :, 0], lower, upper
+    )
+    for own, side, x in zip(A, b, found, strict=True):
+        known = scipy.optimize.lsq_linear(
+            own[:, :3], side - 0.2 * own[:, 3], (lower[:3], upper[:3]), tol=1e-14
+        )
+        assert x == pytest.approx(np.append(known.x, 0.2), abs=1e-6)
