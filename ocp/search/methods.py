@@ -89,13 +89,17 @@ def run_attempt(task: PlanningTask, attempt: Attempt) -> tuple[Outcome, Target |
 def _build_replay(task: PlanningTask, attempt: Attempt) -> Replay:
     """Build the replay function that tests plans with phases.
 
-    It is that of the attempt, and maps time, states and force densities to a `Replayed`.
+    It is that of the attempt, and maps time, states and force densities to a `Replayed`. The first
+    plan decides whether all replays are in open loop or tracked.
     """
+    decided: list[bool] = []
 
     def replay(time: Array, states: Array, gamma: Array) -> Replayed:
         found = Outcome(states, gamma, float(time[-1]), np.nan, True, "", 0, time=time)
         plan = record_plan(task, attempt.transcription, attempt.solver, found)
-        return replay_plan(plan, task.tracked or bool(describe_growth(plan, task.tolerance)))
+        if not decided:
+            decided.append(task.tracked or bool(describe_growth(plan, task.tolerance)))
+        return replay_plan(plan, decided[0])
 
     return replay
 
@@ -178,10 +182,10 @@ def program_of(
     first = evaluate_guess(guess, problem, task.target, transcription.count).perturb(
         *problem.control_limits
     )
-    return build_program(transcription, _drop_slack(problem), task.target, task.scales, first)
+    return build_program(transcription, drop_slack(problem), task.target, task.scales, first)
 
 
-def _drop_slack(problem: Problem) -> Problem:
+def drop_slack(problem: Problem) -> Problem:
     """Build the problem without slackening of elastic strings.
 
     Constraints keep the strings in tension instead. See `build_smooth_model`.
@@ -196,7 +200,7 @@ def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: 
     `guess` is the initial guess on equal intervals; `target` has the final state and the goal rows.
     """
     transcription, solver, origin, *_ = attempt
-    problem, monitor = _drop_slack(task.problem), task.monitor
+    problem, monitor = drop_slack(task.problem), task.monitor
     if isinstance(solver, Sampling):
         raise TypeError("Sampling solves no programs")
     if not isinstance(solver, Ipopt) or problem.free_start:

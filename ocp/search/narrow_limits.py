@@ -11,6 +11,7 @@ from ocp.problem.control import control_unit
 from ocp.problem.costs import Duration
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.problem import Problem
+from ocp.search.methods import drop_slack
 from ocp.search.policy import (
     MIN_INTERVALS,
     PHASE_INTERVALS,
@@ -34,8 +35,8 @@ def explain_limits(task: PlanningTask) -> str:
     """Explain which limits of a failed plan are too narrow.
 
     A relaxed program shows which limits must be wider, and whether a longer duration helps. Returns
-    "" if limits are not the cause, or the cause is unknown. The relaxed program has its own local
-    solution, so that a smaller relaxation may exist.
+    "" if limits are not the cause, or the cause is unknown. The stated limits suffice, but may not be
+    the narrowest ones, as the relaxed program has its own local solution.
     """
     task.monitor.phase = "limits that are too narrow"
     with warnings.catch_warnings():
@@ -57,7 +58,7 @@ def _explain(task: PlanningTask) -> str:
         return ""
     relaxed = relax_limits(program, ("path", "rate"), control_unit(task.problem.model))
     found = solve_relaxed(relaxed, solver, task.monitor)
-    wider = relaxed.list_wider(found.w[: len(program.first)]) if found.success else []
+    wider = relaxed.list_wider(found.w) if found.success else []
     if not wider:
         return ""
     needed = " and ".join(_describe(one, problem.model.scene.structure) for one in wider)
@@ -65,14 +66,14 @@ def _explain(task: PlanningTask) -> str:
     count = (
         f"{PHASE_INTERVALS} intervals a phase" if problem.phases else f"{MIN_INTERVALS} intervals"
     )
-    return f"limits are too narrow: on a mesh of {count} there is a motion with {needed}{longer}"
+    return f"limits are too narrow: on a mesh of {count} it suffices to {needed}{longer}"
 
 
 def _describe(one: WiderLimit, structure: Structure) -> str:
-    value = f"{one.needed:.4g} {one.unit}".rstrip()
+    values = f"from {one.limit:.4g} to {one.needed:.4g} {one.unit}".rstrip()
     member = "".join(f" ({name})" for name in find_named(one.name, structure).values())
-    way = "down" if one.side == "lower" else "up"
-    return f"{one.name}{member} {way} to {value} (limit {one.limit:.4g})"
+    verb = "lower" if one.side == "lower" else "raise"
+    return f"{verb} the limit of {one.name}{member} {values}"
 
 
 def _explain_duration(task: PlanningTask, control: Profile, solver: Ipopt) -> str:
@@ -94,8 +95,8 @@ def _explain_duration(task: PlanningTask, control: Profile, solver: Ipopt) -> st
     if found.success:
         durations = program.unpack(found.w)[2].full().ravel()
         if len(durations) == 1:
-            return f", or a duration of {durations[0]:.3g} s"
-        return f", or phases of {', '.join(f'{one:.3g}' for one in durations)} s"
+            return f", or to take a duration of {durations[0]:.3g} s"
+        return f", or to take phases of {', '.join(f'{one:.3g}' for one in durations)} s"
     longest = free.longest
     return (
         f"; no duration up to {longest:.3g} s was found to help" if found.status in NOWHERE else ""
@@ -139,4 +140,4 @@ def _build(task: PlanningTask, control: Profile) -> Program | None:
     guess = guess.perturb(*problem.control_limits)
     shape = DirectCollocation if problem.model.has_coupled_rates else Variational
     transcription = shape(MIN_INTERVALS, control=control)
-    return build_program(transcription, problem, target, task.scales, guess)
+    return build_program(transcription, drop_slack(problem), target, task.scales, guess)

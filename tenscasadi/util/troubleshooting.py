@@ -40,7 +40,7 @@ _WORDS = {
     "contradicting-bounds": "Problem.bounds leave no controls at the start",
     "no-control": "Problem.model has the control",
     "infeasible-point": "the constraint violation does not decrease near",
-    "narrow-limits": "there is a motion with",
+    "narrow-limits": "it suffices to",
     "solver-failed": "the solver could not go on",
     "contact-derivatives": "through contact with a ground derivatives mislead",
     "vibration-too-fast": "are too long for the fastest vibration",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from functools import cache
 
 import casadi as ca
@@ -205,6 +206,27 @@ def test_a_plan_in_phases_refines():
     assert fine.success, fine.message
     assert fine.replay_error <= coarse.replay_error / 5
     assert len(fine.problem.phases) == 2
+
+
+def test_corrections_decide_once_on_the_kind_of_replay(monkeypatch):
+    module = sys.modules["ocp.search.methods"]
+    measured, replayed = [], []
+    replay = module.replay_plan
+
+    def describe(plan, tolerance):
+        measured.append(plan)
+        return "" if len(measured) == 1 else "errors grow"
+
+    def follow(plan, tracked):
+        replayed.append(tracked)
+        return replay(plan, tracked)
+
+    monkeypatch.setattr(module, "describe_growth", describe)
+    monkeypatch.setattr(module, "replay_plan", follow)
+    ocp.solve(jumping(push(), flight(0.1)), PLAN, tolerance=1e-4)
+    assert len(measured) == 1
+    assert len(replayed) > 1
+    assert not any(replayed)
 
 
 @pytest.mark.slow

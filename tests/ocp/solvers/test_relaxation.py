@@ -47,7 +47,7 @@ def test_what_is_told_suffices(problem):
     none = ocp.solve(problem(slow))
     assert not none.success
     told = re.search(
-        r"no plan: limits are too narrow: .* there is a motion with [a-z ]+ rate of string \d(?: \(.*?\))? up to ([\d.e+-]+) N?m?/",
+        r"no plan: limits are too narrow: .* raise the limit of [a-z ]+ rate of string \d(?: \(.*?\))? from 0.03 to ([\d.e+-]+) N?m?/",
         none.message,
     )
     assert told is not None, none.message
