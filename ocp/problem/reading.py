@@ -6,7 +6,15 @@ from typing import Any
 
 from tenscasadi.schema.definitions import resolve_names
 from tenscasadi.schema.reading import Names
-from tenscasadi.util.validate import as_tuple, finite_array, instance, nesting, positive_number
+from tenscasadi.util.validate import (
+    IndexOrName,
+    as_tuple,
+    finite_array,
+    index_or_name,
+    instance,
+    nesting,
+    positive_number,
+)
 
 Duration = float | tuple[float, float]
 
@@ -40,6 +48,32 @@ def read_duration(field: str, value: Any) -> Duration:
     if pair[1] < shortest:
         raise ValueError(f"{field} is ({shortest:g}, {pair[1]:g}): give (shortest, longest)")
     return shortest if pair[1] == shortest else (shortest, float(pair[1]))
+
+
+def read_groups(
+    field: str, value: Any, strict: bool = False
+) -> tuple[tuple[IndexOrName, ...], ...]:
+    """Read groups of strings that share one control value.
+
+    ``value`` is the argument ``field``. A string is in one group at most. Empty groups are removed,
+    or rejected if `strict`, as are no groups. Raises TypeError, ValueError.
+    """
+    example = "((0, 1, 2), (3, 4, 5))"
+    groups = tuple(
+        as_tuple(f"{field}[{k}]", group, "(0, 1, 2)")
+        for k, group in enumerate(as_tuple(field, value, example))
+    )
+    seen: set[int | str] = set()
+    for k, group in enumerate(groups):
+        for string in group:
+            if index_or_name(f"{field}[{k}]", string) in seen:
+                raise ValueError(f"{field} has string {string} twice: give each string once")
+            seen.add(string)
+    if strict and not (groups and all(groups)):
+        raise ValueError(
+            f"{field} is {groups}: give strings to each group, such as {example}, or None"
+        )
+    return tuple(group for group in groups if group)
 
 
 def limits_of(duration: Duration) -> tuple[float, float]:

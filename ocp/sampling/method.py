@@ -26,7 +26,7 @@ from ocp.solvers.early_stop import stop_early
 from ocp.solvers.monitor import STOPPED, TIME_UP, Monitor, Progress
 from ocp.targets.target import Target
 from ocp.transcription.base import Transcription
-from ocp.transcription.mesh import Guess, held_values
+from ocp.transcription.mesh import Guess, held_values, list_groups
 from tenscasadi.integrators.stability import contact_rate, contact_step
 from tenscasadi.util.validate import Array, check_indices
 
@@ -115,7 +115,7 @@ class _Method:
         self._end = problem.initial_state if target.state is None else target.state
         self._problem, self._solver, self._monitor = problem, solver, monitor
         self._defaults, scales = choose_defaults(problem), Scales.of(problem)
-        self._shared = transcription.control.groups
+        self._profile = transcription.control
         interval = problem.longest * float(transcription.fractions.max())
         rate = max(contact_rate(problem.model), _swing(self._defaults, problem))
         # steps of half a radian of the fastest vibration
@@ -224,20 +224,13 @@ class _Method:
         The first change groups of strings together, the last each string separately.
         """
         count, spread = self._problem.model.nu, self._defaults.spread
-        alone = (
-            tuple(
-                (string,)
-                for string in range(count)
-                if not any(string in group for group in self._shared)
-            )
-            + self._shared
-        )
+        alone = tuple(tuple(group.tolist()) for group in list_groups(self._profile, count))
         given = self._solver.groups
         levels = (
             [given]
             if given is not None
             else [find_symmetry_groups(self._problem, self._end, self._motions.place), alone]
-            if not self._shared
+            if not self._profile.groups
             else [alone]
         )
         return [SplineNoise(spread, groups=groups).directions(count) for groups in levels]

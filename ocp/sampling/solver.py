@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from ocp.sampling.spline_noise import SplineNoise
+from ocp.problem.reading import read_groups
 from ocp.solvers.base import NamedSolver
 from tenscasadi.schema.field_types import InPython, ListOf, Members
 from tenscasadi.util.renamed import rename_fields
@@ -98,15 +98,5 @@ class Sampling(NamedSolver, kind="Sampling"):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.groups is not None:
-            object.__setattr__(self, "groups", read_groups("Sampling.groups", self.groups))
-
-
-def read_groups(field: str, groups: Any) -> tuple[tuple[int, ...], ...]:
-    """Read groups of strings that share a control.
-
-    `field` names them in messages. Raises TypeError, ValueError.
-    """
-    try:
-        return tuple(map(tuple, SplineNoise(1.0, groups=groups).groups or ()))
-    except (TypeError, ValueError) as error:
-        raise type(error)(str(error).replace("SplineNoise.groups", field)) from None
+            groups = read_groups("Sampling.groups", self.groups, strict=True)
+            object.__setattr__(self, "groups", groups)

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.interpolate
 from numpy.typing import ArrayLike
 
+from ocp.problem.reading import read_groups
 from tenscasadi.schema.field_types import PER_ITEM, ListOf, Members
 from tenscasadi.schema.value import Value
 from tenscasadi.util.renamed import rename_fields
@@ -18,9 +19,7 @@ from tenscasadi.util.validate import (
     Count,
     IndexOrName,
     Positive,
-    as_tuple,
     check_indices,
-    index_or_name,
     per_item,
     positive_each,
 )
@@ -71,23 +70,7 @@ class SplineNoise(Value, kind="SplineNoise"):
                 f"SplineNoise.min_scale is {self.min_scale:g}: give a fraction of the deviation, at most 1"
             )
         if self.groups is not None:
-            example = "[[0, 1, 2], [3, 4, 5]]"
-            groups = tuple(
-                tuple(
-                    index_or_name(f"SplineNoise.groups[{k}]", string)
-                    for string in as_tuple(f"SplineNoise.groups[{k}]", group, "[0, 1, 2]")
-                )
-                for k, group in enumerate(as_tuple("SplineNoise.groups", self.groups, example))
-            )
-            members = [string for group in groups for string in group]
-            if not members or not all(groups):
-                raise ValueError(
-                    f"SplineNoise.groups is {groups}: give strings to each group, such as {example}, or None"
-                )
-            if len(set(members)) < len(members):
-                raise ValueError(
-                    f"SplineNoise.groups has string {max(members, key=members.count)} twice: give each string one place"
-                )
+            groups = read_groups("SplineNoise.groups", self.groups, strict=True)
             object.__setattr__(self, "groups", groups)
 
     def sizes(self, samples: int) -> Array:

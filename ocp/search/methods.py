@@ -10,7 +10,6 @@ import numpy as np
 from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
 from ocp.phases.correction import Replay
 from ocp.phases.method import solve_phased
-from ocp.problem.control import build_smooth_model
 from ocp.problem.phase import reject_phases
 from ocp.problem.problem import Problem
 from ocp.problem.rows import RELIABLE
@@ -24,7 +23,7 @@ from ocp.search.plan_record import record_plan
 from ocp.search.policy import Attempt, PlannedGuess, repeat_method
 from ocp.search.replays import replay_plan
 from ocp.search.rest_lengths import convert_outcome, tighten_rates
-from ocp.search.task import PlanningTask, prepare
+from ocp.search.task import PlanningTask, drop_slack, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton.method import REMARKS
 from ocp.solvers.correction import (
@@ -183,15 +182,6 @@ def program_of(
         *problem.control_limits
     )
     return build_program(transcription, drop_slack(problem), task.target, task.scales, first)
-
-
-def drop_slack(problem: Problem) -> Problem:
-    """Build the problem without slackening of elastic strings.
-
-    Constraints keep the strings in tension instead. See `build_smooth_model`.
-    """
-    model = build_smooth_model(problem.model)
-    return problem if model is problem.model else replace(problem, model=model)
 
 
 def _solve_program(task: PlanningTask, attempt: Attempt, target: Target, guess: Guess) -> Outcome:

@@ -11,14 +11,13 @@ from ocp.problem.control import control_unit
 from ocp.problem.costs import Duration
 from ocp.problem.goals.waypoints import Waypoint
 from ocp.problem.problem import Problem
-from ocp.search.methods import drop_slack
 from ocp.search.policy import (
     MIN_INTERVALS,
     PHASE_INTERVALS,
     build_force_density_task,
     is_near_ground,
 )
-from ocp.search.task import PlanningTask, prepare
+from ocp.search.task import PlanningTask, drop_slack, prepare
 from ocp.solvers.ipopt import NOWHERE, Ipopt
 from ocp.solvers.relaxation import WiderLimit, relax_limits, solve_relaxed
 from ocp.targets.infeasible_goal import InfeasibleGoalError, TargetNotFoundWarning

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import control_name, control_unit
+from ocp.problem.control import build_smooth_model, control_name, control_unit
 from ocp.problem.limit_conflict import LimitCheck
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -18,7 +19,7 @@ from ocp.solvers.monitor import Monitor
 from ocp.targets.find_target import find_target
 from ocp.targets.infeasible_goal import Certificate, InfeasibleGoalError
 from ocp.targets.target import StateAt, Target
-from ocp.transcription.mesh import Profile, group_matrix
+from ocp.transcription.mesh import Profile, list_groups
 from tenscasadi.structure.names import name_errors
 from tenscasadi.util.troubleshooting import add_address
 from tenscasadi.util.validate import Array
@@ -82,6 +83,15 @@ def prepare(
     return PlanningTask(problem, target, scales, tolerance, monitor)
 
 
+def drop_slack(problem: Problem) -> Problem:
+    """Build the problem without slackening of elastic strings.
+
+    Constraints keep the strings in tension instead. See `build_smooth_model`.
+    """
+    model = build_smooth_model(problem.model)
+    return problem if model is problem.model else replace(problem, model=model)
+
+
 def check_groups(problem: Problem, profile: Profile) -> None:
     """Check that limits are consistent within each control group.
 
@@ -90,8 +100,7 @@ def check_groups(problem: Problem, profile: Profile) -> None:
     """
     lower, upper = problem.control_limits
     name, unit = control_name(problem.model), control_unit(problem.model)
-    for together in group_matrix(profile, len(lower)).T > 0:
-        strings = np.flatnonzero(together)
+    for strings in list_groups(profile, len(lower)):
         low, high = strings[np.argmax(lower[strings])], strings[np.argmin(upper[strings])]
         if lower[low] > upper[high]:
             raise ValueError(

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Protocol
 import casadi as ca
 import numpy as np
 
+from ocp.problem.reading import read_groups
 from tenscasadi.dynamics.model import Model
 from tenscasadi.integrators.stabilization import build_projection
 from tenscasadi.schema.field_types import ListOf, Members
@@ -23,8 +24,6 @@ from tenscasadi.util.validate import (
     Indices,
     check_indices,
     finite_array,
-    format_value,
-    index_or_name,
     positive_number,
     whole,
     whole_number,
@@ -85,20 +84,8 @@ class NamedProfile(Value):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        field = f"{type(self).__name__}.groups"
-        try:
-            groups = tuple(tuple(group) for group in self.groups)
-        except TypeError:
-            raise TypeError(
-                f"{field} is {format_value(self.groups)}: give groups of strings, such as ((0, 1, 2), (3, 4, 5))"
-            ) from None
-        seen: set[int | str] = set()
-        for group in groups:
-            for string in group:
-                if index_or_name(field, string) in seen:
-                    raise ValueError(f"{field} has string {string} twice: give each string once")
-                seen.add(string)
-        object.__setattr__(self, "groups", tuple(group for group in groups if group))
+        groups = read_groups(f"{type(self).__name__}.groups", self.groups)
+        object.__setattr__(self, "groups", groups)
 
 
 @rename_fields(changes="max_changes")
@@ -169,6 +156,11 @@ def group_matrix(profile: Profile, strings: int) -> Array:
     for group in profile.groups:
         leader[list(group)] = min(group)
     return np.asarray(leader[:, None] == np.unique(leader)[None], dtype=float)
+
+
+def list_groups(profile: Profile, strings: int) -> list[Indices]:
+    """List the strings of each column of `group_matrix`."""
+    return [np.flatnonzero(column) for column in group_matrix(profile, strings).T]
 
 
 def spans(profile: Profile, fractions: Array) -> Indices:

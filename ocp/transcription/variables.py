@@ -13,7 +13,7 @@ from ocp.problem.instant import forces_of
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales, control_scale, typical_cost, typical_mass
 from ocp.targets.target import Target
-from ocp.transcription.mesh import Guess, Profile, group_matrix, on_mesh, spans
+from ocp.transcription.mesh import Guess, Profile, group_matrix, list_groups, on_mesh, spans
 from ocp.transcription.sparse_nlp import Block, Unknowns
 from tenscasadi.dynamics.model import Model
 from tenscasadi.structure.cables import name_inputs
@@ -213,7 +213,7 @@ class Variables:
 
         They belong to intervals, or to mesh points if they are piecewise linear.
         """
-        members = [np.flatnonzero(column) for column in self.group_matrix.T]
+        members = list_groups(self.profile, self.model.nu)
         least, most = self.problem.control_limits
         lower, upper = (
             np.array([choose(limit[own]) for own in members])

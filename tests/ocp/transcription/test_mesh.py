@@ -128,3 +128,22 @@ def test_wrong_types_are_refused():
         ocp.Variational(5, control="linear")
     with pytest.raises(TypeError, match=r"PiecewiseConstant\.groups"):
         ocp.PiecewiseConstant(5)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda groups: ocp.PiecewiseConstant(groups=groups),
+        lambda groups: ocp.Sampling(groups=groups),
+        lambda groups: ocp.SplineNoise(1.0, groups=groups),
+    ],
+    ids=["PiecewiseConstant", "Sampling", "SplineNoise"],
+)
+def test_groups_are_read_alike(build):
+    assert build([[0, 2], ["long", 1]]).groups == ((0, 2), ("long", 1))
+    with pytest.raises(ValueError, match=r"\.groups has string 2 twice: give each string once"):
+        build([[0, 2], [2]])
+    with pytest.raises(TypeError, match=r"\.groups\[1\] is 3: give a list, such as \(0, 1, 2\)"):
+        build([[0, 2], 3])
+    with pytest.raises(TypeError, match=r"\.groups is 3: give a list, such as \(\(0, 1, 2\), "):
+        build(3)
