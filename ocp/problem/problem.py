@@ -32,6 +32,7 @@ from tenscasadi.scene.breaking import Strength
 from tenscasadi.scene.winches import Winch
 from tenscasadi.schema.value import Value
 from tenscasadi.structure.names import name_errors
+from tenscasadi.util.immutable import keep
 from tenscasadi.util.renamed import RenamedAttribute
 from tenscasadi.util.validate import NEGLIGIBLE, Array
 
@@ -281,7 +282,9 @@ class Problem(Value, kind="Problem"):
         upper : numpy.ndarray, shape (α,) or (nu,)
             Upper limits; inf if there are none.
         """
-        return string_limits(self.model.scene.structure, self.bounds, kind)
+        structure = self.model.scene.structure
+        limits = keep(self, kind, lambda: string_limits(structure, self.bounds, kind))
+        return limits[0].copy(), limits[1].copy()
 
     @property
     def force_density_limits(self) -> tuple[Array, Array]:

@@ -92,7 +92,7 @@ def name_duals(program: Program, target: Target, w: Array, rows: Array, limits: 
         )
     rest = _find_rest(program)
     return Duals(
-        (*(program.names[k] for k in rest), *names, *program.w_names),
+        (*(program.names[k] for k in rest.tolist()), *names, *program.w_names),
         np.concatenate(
             [
                 (rows * program.objective / program.scale)[rest],

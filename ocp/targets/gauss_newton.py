@@ -59,21 +59,20 @@ class GaussNewton:
         The search starts at y. The first `goals` residuals are minimized; the others are zero at
         the result, up to rounding.
         """
-        crawling = 0
+        crawling, size = 0, rows.size(y)
         for _ in range(MAX_ITERATIONS):
-            best, least = None, rows.size(y)
-            if least < ROUNDING or crawling == PATIENCE:
+            best, least = None, size
+            if size < ROUNDING or crawling == PATIENCE:
                 break
-            enough = QUICK * least
-            for trial in self._trials(rows, y):
-                if rows.size(trial) < least:
-                    best, least = trial, rows.size(trial)
-                if least < enough:
+            for trial, left in self._trials(rows, y, size):
+                if left < least:
+                    best, least = trial, left
+                if least < QUICK * size:
                     break
             if best is None:
                 break
-            crawling = crawling + 1 if least > CRAWL * rows.size(y) else 0
-            y = best
+            crawling = crawling + 1 if least > CRAWL * size else 0
+            y, size = best, least
         kept, before = rows.select(slice(goals, rows.count)), np.inf
         for _ in range(
             MAX_ITERATIONS
@@ -84,31 +83,34 @@ class GaussNewton:
             y, before = self._moved(y, self._step(kept, y, RESOLUTION)), size
         return y
 
-    def _trials(self, rows: RowFunction, y: Array) -> Iterator[Array]:
+    def _trials(self, rows: RowFunction, y: Array, size: float) -> Iterator[tuple[Array, float]]:
         """Yield values of y, one step from the given y, with smaller residuals.
 
         Steps are along regular directions, along all directions, and along those constrained only
-        to second order. `rows` are the residuals.
+        to second order. `rows` are the residuals, whose norm at the given y is `size`. Each y comes
+        with its norm.
         """
         for step in self._steps(rows, y, NEARLY_SINGULAR, RESOLUTION):
-            yield from self._shortened(rows, y, step, follow=False)
+            yield from self._shortened(rows, y, size, step, follow=False)
         soft = self._soft_step(rows, y)
         if soft is not None:
-            yield from self._shortened(rows, y, soft, follow=True)
+            yield from self._shortened(rows, y, size, soft, follow=True)
 
-    def _shortened(self, rows: RowFunction, y: Array, step: Array, follow: bool) -> Iterator[Array]:
+    def _shortened(
+        self, rows: RowFunction, y: Array, size: float, step: Array, follow: bool
+    ) -> Iterator[tuple[Array, float]]:
         """Yield y after the first of step, step/2, … that reduces the residuals.
 
-        `step` is in scaled unknowns. With `follow`, a Gauss-Newton step along regular directions
-        corrects each trial first.
+        `step` is in scaled unknowns, and `size` the norm of the residuals before it. With `follow`,
+        a Gauss-Newton step along regular directions corrects each trial first. The norm after the
+        step comes with y.
         """
-        size = rows.size(y)
         for halvings in range(8):
             trial = self._moved(y, step * 0.5**halvings)
             if follow:
                 trial = self._moved(trial, self._step(rows, trial, NEARLY_SINGULAR))
-            if rows.size(trial) < size:
-                yield trial
+            if (left := rows.size(trial)) < size:
+                yield trial, left
                 return
 
     def _step(self, rows: RowFunction, y: Array, rank_tolerance: float) -> Array:

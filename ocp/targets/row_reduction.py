@@ -54,7 +54,7 @@ class RowFunction:
 
         The Jacobian is that with respect to scaled unknowns.
         """
-        value, gradient = self._code.first(y)
+        value, gradient = self._code.first_at(y)
         return value.ravel()[self._rows], gradient.T[self._rows] * self.scale
 
     def size(self, y: Array) -> float:
@@ -140,10 +140,17 @@ class _Code:
         self._y, scaled = y, ca.vertcat(*groups)
         self._slopes = [ca.jacobian(group, y) for group in groups]
         self.count = int(scaled.shape[0])
+        self._last: tuple[Array, list[Array]] = (np.zeros(0), [])
         self.value = ArrayFunction(ca.Function("rows", [y], [ca.densify(scaled)]))
         self.first = ArrayFunction(
             ca.Function("rows", [y], [ca.densify(scaled), ca.densify(ca.vertcat(*self._slopes))])
         )
+
+    def first_at(self, y: Array) -> list[Array]:
+        """Compute the residuals and their Jacobian at y, once for repeated calls."""
+        if not np.array_equal(self._last[0], y):
+            self._last = y.copy(), self.first(y)
+        return self._last[1]
 
     @cached_property
     def second(self) -> _Curvature:

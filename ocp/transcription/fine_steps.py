@@ -63,7 +63,7 @@ class FineSteps:
     def __init__(self, program: Program, model: Model, fractions: Array) -> None:
         self.program, self.model, self.fractions = program, model, fractions
         self.linear = program.unpack.size2_out(1) > len(fractions)
-        step = _build_step(model)
+        step = model.keep("fine step", lambda: _build_step(model))
         self._each, self._chain = step.map(len(fractions)), step.mapaccum(len(fractions))
 
     def planned(self, w: Array) -> tuple[Array, tuple[Array, ...], float]:
@@ -179,7 +179,7 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
     """
     fine, mech, nq = FineSteps(program, model, fractions), model.mechanism, model.nq
     project = build_projection(model, 1).map(len(fractions)) if mech.constrained else None
-    momentum = _build_momentum(model)
+    momentum = model.keep("momentum", lambda: _build_momentum(model))
     ends, middle = (_find_rows(program, name) for name in ("ends", "middle"))
 
     def leave(leaving: Array, places: Array, held: tuple[Array, ...], lengths: Array) -> Array:

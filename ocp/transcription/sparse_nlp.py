@@ -360,7 +360,7 @@ class _SparseMatrix:
         self._factors: list[Array] = []
         self._rows: list[Indices] = []
         self._columns: list[Indices] = []
-        self._varying: list[Booleans] = []
+        self._derivatives: list[tuple[ca.Function, Block, Indices]] = []
 
     def add_jacobian(
         self,
@@ -374,7 +374,7 @@ class _SparseMatrix:
 
         It is evaluated at z (nz, count). Its rows in the matrix begin at `first_row`.
         """
-        values, local_row, local_column, varying = self._derivative(block, z)
+        function, local_row, local_column = self._derivative(block)
         if not len(local_row):
             return
         column = block.index[:, local_column].ravel()
@@ -382,13 +382,13 @@ class _SparseMatrix:
         kept = np.flatnonzero(column < self._unknowns.count)
         places = (column, np.zeros_like(column)) if transposed else (row, column)
         self._keep(
-            values,
+            function.map(block.count)(z),
             kept,
             factor * self._unknowns.scale[column[kept]],
             [place[kept] for place in places],
         )
         if kept.size:
-            self._varying.append(varying[kept % len(varying)])
+            self._derivatives.append((function, block, kept))
 
     def add_hessian(self, block: Block, z: Any, multipliers: Any) -> None:
         """Add the upper triangle of the Hessian of multipliersᵀ rows at z (nz, count)."""
@@ -413,8 +413,8 @@ class _SparseMatrix:
         row, column = row[kept], column[kept]
         self._keep(values, position, scale[row] * scale[column], [row, column])
 
-    def _derivative(self, block: Block, z: Any) -> tuple[Any, Indices, Indices, Booleans]:
-        """Build a block's Jacobian at z: nonzeros, rows, columns, varying ones."""
+    def _derivative(self, block: Block) -> tuple[ca.Function, Indices, Indices]:
+        """Build z → nonzeros of a block's Jacobian, and their rows and columns."""
         s: Any = symbol_kind(block.function).sym("z", block.function.size1_in(0))
         varied, places = self._select_unknowns(block, s)
         J = ca.jacobian(block.function(s), varied)
@@ -422,13 +422,7 @@ class _SparseMatrix:
             own, s = ca.Function("own", [s], [J]), ca.MX.sym("z", s.shape[0])
             J = ca.mtimes(ca.DM(block.combination), own(s))
         row, column = (np.array(entries, dtype=np.intp) for entries in J.sparsity().get_triplet())
-        function = ca.Function("derivative", [s], [_nonzeros(J)])
-        unknown = (block.index < self._unknowns.count).any(axis=0)
-        kinds = [symbol_kind(function).sym("z", int(one.sum())) for one in (unknown, ~unknown)]
-        place = np.argsort(np.argsort(~unknown, kind="stable"))  # of each entry, unknowns first
-        values = function(ca.vertcat(*kinds)[place.tolist()])
-        varying = np.array(ca.which_depends(values, kinds[0], 1, True), dtype=bool)
-        return function.map(block.count)(z), row, places[column], varying
+        return ca.Function("derivative", [s], [_nonzeros(J)]), row, places[column]
 
     def _second(self, block: Block) -> tuple[Callable[[Any, Any, Indices], Any], Indices, Indices]:
         """Build (z, weights, chosen) → nonzeros of a block's Hessian, and their indices."""
@@ -475,11 +469,26 @@ class _SparseMatrix:
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)
-        varying = np.concatenate(self._varying)
+        varying = np.concatenate(
+            [self._find_varying(*derivative) for derivative in self._derivatives]
+        )
         places, inverse = np.unique(column * rows + row, return_inverse=True)
         constant = np.ones(len(places), dtype=bool)
         constant[inverse[varying]] = False
         return constant
+
+    def _find_varying(self, derivative: ca.Function, block: Block, kept: Indices) -> Booleans:
+        """Find which nonzeros of a block's Jacobian depend on decision variables.
+
+        `derivative` is the Function of the nonzeros of one instance. `kept` are the indices of
+        those that belong to the matrix, of all instances.
+        """
+        unknown = np.any(block.index < self._unknowns.count, axis=0)
+        kinds = [symbol_kind(derivative).sym("z", int(one.sum())) for one in (unknown, ~unknown)]
+        place = np.argsort(np.argsort(~unknown, kind="stable"))  # of each entry, unknowns first
+        values = derivative(ca.vertcat(*kinds)[place.tolist()])
+        varying = np.array(ca.which_depends(values, kinds[0], 1, True), dtype=bool)
+        return varying[kept % len(varying)]
 
     def assemble(self, rows: int, columns: int) -> Any:
         """Assemble the sum as a sparse CasADi matrix (rows, columns)."""

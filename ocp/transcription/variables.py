@@ -177,6 +177,7 @@ class Variables:
         )
         self.guess = on_mesh(self.model, guess, fractions, profile)
         self.group_matrix = group_matrix(profile, self.model.nu)
+        self._by_group = sparse(self.group_matrix)
         self.noise = (
             None
             if guess.noise is None
@@ -260,7 +261,7 @@ class Variables:
         """
         m = self.group_matrix.shape[1]
         held = (1 - share) * local[:m] + share * local[m:] if self.profile.linear else local
-        return ca.mtimes(sparse(self.group_matrix), held)
+        return ca.mtimes(self._by_group, held)
 
     def add_at_nodes(
         self, names: Sequence[str], first: Array, scale: float, node: int = 0

@@ -97,8 +97,8 @@ def check_over_run(
         np.concatenate([times, breaks, np.nextafter(breaks, first), np.nextafter(breaks, last)])
     )
     kinds = ("", ": its velocity", ": its acceleration")
-    for k, kind in zip(range(traced.n_out()), kinds, strict=False):
-        bad = ~np.isfinite(values_at(traced, some, k)).all(axis=1)
+    for values, kind in zip(outputs_at(traced, some), kinds, strict=False):
+        bad = ~np.isfinite(values).all(axis=1)
         if bad.any():
             raise add_address(
                 ValueError(
@@ -139,17 +139,26 @@ def is_same(number: Array, value: Array) -> bool:
     )
 
 
-def values_at(traced: ca.Function, times: Array, output: int = 0) -> Array:
-    """Evaluate output number `output` of a CasADi Function at times.
+def values_at(traced: ca.Function, times: Array) -> Array:
+    """Evaluate the first output of a CasADi Function at times.
 
     `traced` is a Function of the time, and `times` are (K,) [s]. The result is (K, entries).
     """
+    return outputs_at(traced, times)[0]
+
+
+def outputs_at(traced: ca.Function, times: Array) -> list[Array]:
+    """Evaluate all outputs of a CasADi Function at times.
+
+    `traced` is a Function of the time, and `times` are (K,) [s]. Each result is (K, entries).
+    """
     if not len(times):
-        return np.empty((0, traced.numel_out(output)))
-    values = traced.call([times[None]])[output].full()
-    return np.asarray(
+        return [np.empty((0, traced.numel_out(k))) for k in range(traced.n_out())]
+    every = [values.full() for values in traced.call([times[None]])]
+    return [
         values.reshape(len(values), len(times), -1).transpose(1, 0, 2).reshape(len(times), -1)
-    )
+        for values in every
+    ]
 
 
 def trace(function: Any) -> ca.Function:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 Kept = TypeVar("Kept")
+_PARTS = (np.ndarray, dict, tuple)  # types that can contain arrays
 
 
 def read_only(value: Any) -> Any:
@@ -22,7 +23,7 @@ def read_only(value: Any) -> Any:
         value.flags.writeable = False
     elif type(value) is dict:
         return {key: read_only(part) for key, part in value.items()}
-    elif isinstance(value, tuple):
+    elif isinstance(value, tuple) and any(isinstance(part, _PARTS) for part in value):
         parts = [read_only(part) for part in value]
         return value._make(parts) if hasattr(value, "_make") else tuple(parts)
     return value

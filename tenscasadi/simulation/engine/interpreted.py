@@ -87,7 +87,7 @@ class Interpreted:
 
     def __init__(self, program: KernelFunctions) -> None:
         functions, self.sizes = dict(program.functions), program.sizes
-        self.chunk = 32  # most steps of a call: one from Python costs as much as a step of a ball
+        self.chunk = 128  # most steps of a call: one from Python costs as much as ten of a ball
         if program.adaptive and program.tableau is not None:
             self.chunk = 1
             control = ErrorControl(*(functions.pop(name) for name in ErrorControl._fields))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from tenscasadi.scene.time_functions import values_at
+from tenscasadi.scene.time_functions import outputs_at
 from tenscasadi.simulation.inputs.grid import Changing, Grid
 from tenscasadi.util.validate import Array
 
@@ -47,8 +47,7 @@ def describe_unresolved(
         if function is None:
             continue
         ends = _refine(first + grid.times(np.arange(grid.steps + 1)), step)
-        for output in range(function.n_out()):
-            unseen, size = _compare_quadratures(function, output, ends, order)
+        for unseen, size in _compare_quadratures(function, ends, order):
             if unseen.sum() > 0.01 * size:  # of the impulse over the run
                 time = ends[int(unseen.argmax())]
                 text += (
@@ -71,38 +70,39 @@ def _refine(ends: Array, step: float) -> Array:
 
 
 def _compare_quadratures(
-    function: ca.Function, output: int, ends: Array, order: int
-) -> tuple[Array, float]:
-    """Compare coarse and fine quadratures of an output over K steps.
+    function: ca.Function, ends: Array, order: int
+) -> list[tuple[Array, float]]:
+    """Compare coarse and fine quadratures of a Function of time over K steps.
 
-    `output` is its number in the Function of time, and `ends` (K + 1,) are the ends of the steps
-    [s]. The coarse quadrature is exact for the given `order` of an integration scheme. Returns the
-    differences (K,) and the integral of its absolute value.
+    `ends` (K + 1,) are the ends of the steps [s]. The coarse quadrature is exact for the given
+    `order` of an integration scheme. Returns, for each output, the differences (K,) and the
+    integral of its absolute value.
     """
     points, weights = np.polynomial.legendre.leggauss(8)
     divisions = -(-2048 // (len(ends) - 1))  # at least 2048 parts in all
     fine = ((np.arange(divisions)[:, None] + (1 + points) / 2) / divisions).ravel()
     fine_weights = np.tile(weights / 2 / divisions, divisions)
     coarse, coarse_weights = _lobatto(max(2, (order + 3) // 2))
-    unseen, size = [], 0.0
+    unseen: list[list[Array]] = [[] for _ in range(function.n_out())]
+    size = np.zeros(function.n_out())
     block = max(1, 16384 // divisions)  # bounds the memory
     for begin in range(0, len(ends) - 1, block):
         starts = ends[begin : begin + block + 1]
         lengths = np.diff(starts)[:, None]
         sampled = [
-            values_at(function, (starts[:-1, None] + lengths * places).ravel(), output).reshape(
-                len(lengths), len(places), -1
-            )
+            outputs_at(function, (starts[:-1, None] + lengths * places).ravel())
             for places in (fine, coarse)
         ]
-        exact, seen = (
-            np.einsum("kpm,p->km", values, w)
-            for values, w in zip(sampled, (fine_weights, coarse_weights), strict=True)
-        )
-        unseen.append((abs(exact - seen) * lengths).max(axis=1, initial=0.0))
-        average = np.einsum("kpm,p->km", abs(sampled[0]), fine_weights)
-        size += float((average * lengths).sum(axis=0).max(initial=0.0))
-    return np.concatenate(unseen), size
+        for k, values in enumerate(zip(*sampled, strict=True)):
+            own = [each.reshape(len(lengths), -1, each.shape[1]) for each in values]
+            exact, seen = (
+                np.einsum("kpm,p->km", each, w)
+                for each, w in zip(own, (fine_weights, coarse_weights), strict=True)
+            )
+            unseen[k].append((abs(exact - seen) * lengths).max(axis=1, initial=0.0))
+            average = np.einsum("kpm,p->km", abs(own[0]), fine_weights)
+            size[k] += float((average * lengths).sum(axis=0).max(initial=0.0))
+    return [(np.concatenate(parts), own) for parts, own in zip(unseen, size.tolist(), strict=True)]
 
 
 def _lobatto(count: int) -> tuple[Array, Array]:
