@@ -283,7 +283,7 @@ class Problem(Value, kind="Problem"):
             Upper limits; inf if there are none.
         """
         structure = self.model.scene.structure
-        limits = keep(self, kind, lambda: string_limits(structure, self.bounds, kind))
+        limits = keep(self, (kind,), lambda: string_limits(structure, self.bounds, kind))
         return limits[0].copy(), limits[1].copy()
 
     @property

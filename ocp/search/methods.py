@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import InitialGuess, TrajectoryGuess, evaluate_guess
@@ -257,7 +256,7 @@ def _read_outcome(
         step = transcription.longest_step(time)
         begun = target.begin_at(own.states[0])
         why = explain_failure(problem, begun, state_at, program, solution, held, step)
-    cost = ca.Function("cost", [program.problem["x"]], [program.problem["f"]])(solution.w)
+    cost, _ = program.derivatives()["nlp_grad_f"](solution.w, [])
     duals = None
     if solution.success and solution.multipliers:
         duals = name_duals(program, target, solution.w, *solution.multipliers)

@@ -68,9 +68,9 @@ def solve_corrected(
         late = monitor is not None and bool(monitor.status())
         # the first solution has the full error of the discretization, and a round costs little
         met = bool(done) and rest.error <= accuracy and rest.kept
-        if met or late or done == most or not rest.size < left * last:
+        if met or late or done == most or not rest.shift.size < left * last:
             break
-        last, shift = rest.size, mixing.step(rest.shift)
+        last, shift = rest.shift.size, mixing.step(rest.shift.bounds)
         program = program.shift_rows(shift, solution.w, solution.multipliers)
         solution = correct(program, monitor)
         iterations += solution.iterations

@@ -6,6 +6,8 @@ Errors do not accumulate: each interval starts from the planned state.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,7 +22,29 @@ from tenscasadi.util.casadi_tools import sparse
 from tenscasadi.util.validate import Array
 
 
-class MotionResidual(NamedTuple):
+class Shift(NamedTuple):
+    """Change of a program that removes a residual, to first order.
+
+    Attributes
+    ----------
+    bounds : ndarray, shape (m,)
+        Shift of the bounds of all constraints.
+    velocities : ndarray or float
+        Difference of the initial velocities (K, nq) that connect mesh points in fine steps from the
+        planned ones [m/s].
+    """
+
+    bounds: Array
+    velocities: Array | float = 0.0
+
+    @property
+    def size(self) -> float:
+        """Size of the residual that corrections reduce."""
+        return float(np.abs(self.bounds).max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class MotionResidual:
     """Difference between a discrete solution and fine integration.
 
     Attributes
@@ -28,25 +52,30 @@ class MotionResidual(NamedTuple):
     error : float
         Largest distance from an integration in fine steps along the whole plan [m], also for
         velocities × duration.
-    size : float
-        Size of the residual that corrections reduce.
-    shift : ndarray, shape (m,)
-        Shift of the bounds of all constraints that removes the residual, to first order.
-    states : ndarray or None
+    states : ndarray
         States (K + 1, nx) of fine steps along the whole plan.
-    kept : bool
-        Whether these states satisfy the limits of the program, within the margins of reports.
-    velocity_shift : ndarray or float
-        Difference of the initial velocities (K, nq) that connect mesh points in fine steps from the
-        planned ones [m/s].
+    find_shift : callable
+        Function without arguments that computes `shift`.
+    check_limits : callable
+        Function without arguments that computes `kept`.
     """
 
     error: float
-    size: float
-    shift: Array
-    states: Array | None
-    kept: bool = True
-    velocity_shift: Array | float = 0.0
+    states: Array
+    find_shift: Callable[[], Shift]
+    check_limits: Callable[[], bool]
+
+    # A plan within the accuracy needs no shift, one beyond it no limits.
+
+    @cached_property
+    def shift(self) -> Shift:
+        """Shift of the program."""
+        return self.find_shift()
+
+    @property
+    def kept(self) -> bool:
+        """Whether the states satisfy the limits of the program, within the margins of reports."""
+        return self.check_limits()
 
 
 # of unknowns w, and of the residual of a solution nearby
@@ -85,18 +114,17 @@ class FineSteps:
         """
         return np.asarray(self._each(leaving.T, *held).full()).T
 
-    def whole(self, w: Array) -> tuple[Array, float]:
-        """Integrate the whole plan in fine steps.
+    def measure(self, w: Array, find_shift: Callable[[], Shift]) -> MotionResidual:
+        """Compare a plan with an integration of the whole plan in fine steps.
 
-        `w` are the scaled decision variables. Returns the states (K + 1, nx) of this integration,
-        and the largest distance of the planned states from them [m]. Velocities count as velocity ×
-        duration.
+        `w` are the scaled decision variables. `find_shift` computes the shift of the program.
         """
         states, held, duration = self.planned(w)
         later = self._chain(states[0], *held).full()
         fine = np.column_stack([states[0], later]).T
         places, speeds, *_ = self.model.split(np.abs(fine - states) * self.program.known)
-        return fine, float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
+        error = float(max(places.max(initial=0.0), duration * speeds.max(initial=0.0)))
+        return MotionResidual(error, fine, find_shift, lambda: self.keeps_limits(w, fine))
 
     def keeps_limits(self, w: Array, states: Array) -> bool:
         """Return whether states (K + 1, nx) satisfy path constraints and limits of rates.
@@ -152,7 +180,7 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
         if block.kind == "defect"
     ]
 
-    def measure(w: Array, near: MotionResidual | None = None) -> MotionResidual:
+    def find_shift(w: Array) -> Shift:
         states, held, _ = fine.planned(w)
         y = np.concatenate([unknowns.scale * w, unknowns.constants])
         ends = y.copy()
@@ -164,7 +192,10 @@ def measure_ends(program: Program, model: Model, fractions: Array) -> Measure:
             z = np.where(after, ends[block.index], y[block.index])
             moved, here = (block.value(one.T) for one in (z, y[block.index]))
             shift[rows] = (moved - here).full().ravel(order="F")
-        return _build_residual(fine, w, shift)
+        return Shift(shift)
+
+    def measure(w: Array, near: MotionResidual | None = None) -> MotionResidual:
+        return fine.measure(w, lambda: find_shift(w))
 
     return measure
 
@@ -204,10 +235,10 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
             least = size
             leaving[:, nq : 2 * nq] += missed
 
-    def measure(w: Array, near: MotionResidual | None = None) -> MotionResidual:
+    def find_shift(w: Array, near: MotionResidual | None) -> Shift:
         states, held, duration = fine.planned(w)
         planned, leaving = states[:, nq : 2 * nq], states[:-1].copy()
-        leaving[:, nq : 2 * nq] += 0.0 if near is None else near.velocity_shift
+        leaving[:, nq : 2 * nq] += 0.0 if near is None else near.shift.velocities
         arrived = leave(leaving, states[1:, :nq], held, duration * fractions)
         left = leaving[:, nq : 2 * nq]
         at_ends = np.vstack([left[:1] - planned[:1], arrived[-1:] - planned[-1:]])
@@ -217,15 +248,12 @@ def measure_jumps(program: Program, model: Model, fractions: Array) -> Measure:
         for rows, jump in zip([ends[0], *middle, *ends[1:]], jumps, strict=False):
             moved = duration * momentum(jump.T).full().ravel(order="F")
             shift[rows] = -moved / program.scale[rows]
-        return _build_residual(fine, w, shift)._replace(velocity_shift=left - planned[:-1])
+        return Shift(shift, left - planned[:-1])
+
+    def measure(w: Array, near: MotionResidual | None = None) -> MotionResidual:
+        return fine.measure(w, lambda: find_shift(w, near))
 
     return measure
-
-
-def _build_residual(fine: FineSteps, w: Array, shift: Array) -> MotionResidual:
-    states, error = fine.whole(w)
-    size, kept = float(np.abs(shift).max(initial=0.0)), fine.keeps_limits(w, states)
-    return MotionResidual(error, size, shift, states, kept)
 
 
 def _find_rows(program: Program, name: str) -> list[slice]:

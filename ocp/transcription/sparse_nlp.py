@@ -338,7 +338,7 @@ def expand(function: ca.Function) -> ca.Function:
     Derivatives are then faster.
     """
     try:
-        return function.expand()
+        return function if function.is_a("SXFunction") else function.expand()
     except RuntimeError:  # CasADi cannot expand the Function
         return function
 

@@ -136,7 +136,8 @@ class Interpreted:
             code = self._control_error(loop, float(lengths[0]))
             return StepRows(loop.z[None], None, code)
         n, q = len(loop.z), loop.q
-        steps = min(self.chunk, len(lengths)) if n == 1 else 1
+        left = len(lengths)  # in equal parts, which share a Function
+        steps = -(-left // -(-left // self.chunk)) if n == 1 else 1
         every, places = q["correct_every"], loop.step + 1 + np.arange(steps)
         flags = (places % every == 0) if every else np.zeros(steps)
         rows = [
