@@ -224,9 +224,7 @@ class SupportMotion(Value, kind="SupportMotion"):
             )
             if isinstance(function, VectorFunction):
                 function.check_run(name, first, last)
-            check_over_run(name, function, rates, first, last)
-            probes = rates.call([probe_times(first, last)[None]])
-            sizes = [abs(values.full()).max() for values in probes]
+            sizes = check_over_run(name, function, rates, first, last)
             inside = self.breakpoints[(self.breakpoints > first) & (self.breakpoints < last)]
             for time in np.union1d(find_breakpoints(rates, first, last), inside):
                 before, after = rates(max(first, time - offset)), rates(min(last, time + offset))

@@ -79,12 +79,12 @@ def as_numbers(value: Any) -> Any:
 
 def check_over_run(
     field: str, function: Callable[[Any], Any], traced: ca.Function, first: float, last: float
-) -> None:
+) -> list[float]:
     """Check the values of a function of time, and its tracing.
 
     The run is from `first` to `last` [s]. `traced` is the CasADi Function of the Python function.
     `math` and `float` convert a CasADi time to a constant. A comparison of numbers and symbols
-    finds that.
+    finds that. Returns the largest absolute value of each output of `traced`.
 
     Raises
     ------
@@ -96,8 +96,9 @@ def check_over_run(
     some = np.unique(
         np.concatenate([times, breaks, np.nextafter(breaks, first), np.nextafter(breaks, last)])
     )
-    kinds = ("", ": its velocity", ": its acceleration")
+    kinds, sizes = ("", ": its velocity", ": its acceleration"), []
     for values, kind in zip(outputs_at(traced, some), kinds, strict=False):
+        sizes.append(float(abs(values).max(initial=0.0)))
         bad = ~np.isfinite(values).all(axis=1)
         if bad.any():
             raise add_address(
@@ -112,7 +113,7 @@ def check_over_run(
             number = np.asarray(as_numbers(given), dtype=float).ravel()
         except (TypeError, ValueError) as error:
             if k == 0 and isinstance(error.__cause__ or error, _UNSUITABLE):
-                return  # a function for CasADi symbols only
+                break  # a function for CasADi symbols only
             raise add_address(error) from None
         value = traced.call([time])[0].full().T.ravel()
         if not is_same(number, value):
@@ -122,6 +123,7 @@ def check_over_run(
                     f"{format_row(value)} for a CasADi time: give the same at each call; {CURE}"
                 )
             )
+    return sizes
 
 
 def format_row(values: Array) -> str:
