@@ -399,6 +399,15 @@ def test_limits_combine_and_strings_never_push():
     assert np.all(np.isposinf(upper))
 
 
+def test_changed_limits_leave_the_problem_alone():
+    given = problem(bounds=[ocp.ForceDensityLimits(1.0, 5.0)])
+    for limit in given.limits(ocp.ForceDensityLimits):
+        limit[:] = 3.0
+    lower, upper = given.limits(ocp.ForceDensityLimits)
+    assert set(lower) == {1.0}
+    assert set(upper) == {5.0}
+
+
 @pytest.mark.parametrize("start", [None, ocp.FreeStart()], ids=["given", "free"])
 @pytest.mark.parametrize("duration", [1.0, (0.5, 1.0)], ids=["fixed", "free"])
 def test_where_nothing_is_asked_nothing_pulls(duration, start):

@@ -160,6 +160,19 @@ def test_extrapolated_corrections_need_fewer_rounds(monkeypatch):
     assert extrapolated <= count_rounds() - 2
 
 
+def test_last_round_computes_no_shift():
+    asked, transcription, rounds = rising(), ocp.Variational(20), []
+    built = program(asked, transcription)
+    measure = transcription.measure_residual(built, asked.model)
+
+    def counted(w, near):
+        rounds.append(measure(w, near))
+        return rounds[-1]
+
+    assert solve_corrected(built, ocp.Ipopt(), counted, 1e-6).error < 1e-6
+    assert ["shift" in vars(one) for one in rounds] == [True] * (len(rounds) - 1) + [False]
+
+
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])
 def test_an_accuracy_is_a_positive_length(bad):
     with pytest.raises((TypeError, ValueError), match=r"Variational\.accuracy"):
