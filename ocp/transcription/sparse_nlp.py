@@ -381,12 +381,8 @@ class _SparseMatrix:
         row = (first_row + block.rows * np.arange(block.count)[:, None] + local_row).ravel()
         kept = np.flatnonzero(column < self._unknowns.count)
         places = (column, np.zeros_like(column)) if transposed else (row, column)
-        self._keep(
-            function.map(block.count)(z),
-            kept,
-            factor * self._unknowns.scale[column[kept]],
-            [place[kept] for place in places],
-        )
+        scale = factor * self._unknowns.scale[column[kept]]
+        self._keep(function.map(block.count)(z), kept, scale, [place[kept] for place in places])
         if kept.size:
             self._derivatives.append((function, block, kept))
 
@@ -469,20 +465,14 @@ class _SparseMatrix:
         if not self._values:
             return np.zeros(0, dtype=bool)
         row, column = np.concatenate(self._rows), np.concatenate(self._columns)
-        varying = np.concatenate(
-            [self._find_varying(*derivative) for derivative in self._derivatives]
-        )
+        varying = np.concatenate([self._find_varying(*one) for one in self._derivatives])
         places, inverse = np.unique(column * rows + row, return_inverse=True)
         constant = np.ones(len(places), dtype=bool)
         constant[inverse[varying]] = False
         return constant
 
     def _find_varying(self, derivative: ca.Function, block: Block, kept: Indices) -> Booleans:
-        """Find which nonzeros of a block's Jacobian depend on decision variables.
-
-        `derivative` is the Function of the nonzeros of one instance. `kept` are the indices of
-        those that belong to the matrix, of all instances.
-        """
+        """Find which of the nonzeros `kept` depend on decision variables."""
         unknown = np.any(block.index < self._unknowns.count, axis=0)
         kinds = [symbol_kind(derivative).sym("z", int(one.sum())) for one in (unknown, ~unknown)]
         place = np.argsort(np.argsort(~unknown, kind="stable"))  # of each entry, unknowns first
