@@ -46,11 +46,12 @@ def solve_corrected(
     """Solve a nonlinear program with deferred correction.
 
     `measure` computes the discretization residual. Rounds end once the error of the states [m] is
-    at most `accuracy`, and the states of fine steps satisfy the limits. The discretization residual shifts the bounds of the constraints, and the
-    program is solved again (Stetter, Numer. Math. 1978, 29, 425). Only bounds change, so nothing is
-    built again. Each round leaves a fraction of the residual that is about the relative error of
-    the discretization, or less: the shifts extrapolate those before. Costs keep the error of the
-    discretization, so the plan is optimal only up to it.
+    at most `accuracy`, and the states of fine steps satisfy the limits. The discretization residual
+    shifts the bounds of the constraints, and the program is solved again (Stetter, Numer. Math.
+    1978, 29, 425). Only bounds change, so nothing is built again. Each round leaves a fraction of
+    the residual that is about the relative error of the discretization, or less: the shifts
+    extrapolate those before. Costs keep the error of the discretization, so the plan is optimal
+    only up to it.
     """
     most, left = 20, 0.7  # rounds; a round that leaves a larger share of the residual is the last
     solution = solver.solve(program, monitor)

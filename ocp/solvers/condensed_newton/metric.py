@@ -50,7 +50,7 @@ class Projector:
     """
 
     def __init__(self, jacobian: Array, give: Array, metric: Metric) -> None:
-        self.jacobian, self.metric = jacobian, metric
+        self.jacobian, self.give, self.metric = jacobian, give, metric
         self.count = int(np.count_nonzero(give == 0))
         self.soft, self.resisting = jacobian[self.count :], 1 / give[self.count :]
         if metric.rest is None and len(jacobian):
@@ -90,7 +90,10 @@ class Projector:
         """
         if self._factor is None:
             return x
-        return np.asarray(scipy.linalg.cho_solve(self._factor, x, check_finite=False))
+        y = scipy.linalg.cho_solve(self._factor, x, check_finite=False)
+        # one refinement: barriers make the matrix ill-conditioned
+        left = x - self.jacobian @ self.metric.solve(self.jacobian.T @ y) - self.give * y
+        return np.asarray(y + scipy.linalg.cho_solve(self._factor, left, check_finite=False))
 
     def shortest(self, rows: Array) -> Array:
         """Compute the smallest step d with J d ≈ rows.

@@ -381,7 +381,7 @@ def test_corrections_share_a_linearization(monkeypatch):
     constraints = ca.Function("constraints", [built.problem["x"]], [built.problem["g"]])
     counts, moved = [], built
     for _ in range(3):
-        shift = 1e-4 * rng.uniform(-1, 1, len(built.lower))
+        shift = 1e-6 * rng.uniform(-1, 1, len(built.lower))
         shift[np.concatenate([np.arange(len(shift))[rows] for rows in built.rows("dependent")])] = 0
         moved = moved.shift_rows(shift, solution.w, solution.multipliers)
         found = solution.correct(moved, None)
@@ -390,7 +390,7 @@ def test_corrections_share_a_linearization(monkeypatch):
         equal = (moved.lower == moved.upper) & (shift != 0)
         assert found.success
         assert values[equal] == pytest.approx(moved.lower[equal], abs=1e-8)
-    assert counts == [counts[0]] * 3
+    assert counts == [1, 1, 1]
 
 
 @pytest.mark.parametrize(
