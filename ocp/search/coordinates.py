@@ -1,7 +1,8 @@
-"""Planning in reduced coordinates for models in full coordinates.
+"""Planning in reduced coordinates for models in full coordinates, and for flat structures.
 
-Reduced coordinates have no joint constraints. The trajectory does not depend on the coordinates,
-and methods are faster in reduced ones.
+Reduced coordinates have no joint constraints. Those of a flat structure have no coordinates across
+its plane, which it cannot leave. The trajectory does not depend on the coordinates, and methods are
+faster in reduced ones.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import EquilibriumGuess, InitialGuess, InverseDynamics, TrajectoryGuess
@@ -19,8 +21,10 @@ from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import Instant
 from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
+from ocp.targets.invariants import invariants
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
+from tenscasadi.scene.scene import Scene
 from tenscasadi.simulation.trajectory import Trajectory
 from tenscasadi.util.validate import Array, finite_array
 
@@ -30,12 +34,12 @@ _GUESSES = type(None), InverseDynamics, EquilibriumGuess, TrajectoryGuess, PlanR
 
 @dataclass(frozen=True)
 class ReducedCoordinates:
-    """Problem in full coordinates and its equivalent in reduced ones.
+    """Problem in the model's coordinates and its equivalent in reduced ones.
 
     Attributes
     ----------
     given : Problem
-        Problem in full coordinates.
+        Problem in the model's coordinates.
     problem : Problem
         Equivalent problem in reduced coordinates.
     """
@@ -63,7 +67,10 @@ class ReducedCoordinates:
 
     def restore(self, plan: PlanResult) -> PlanResult:
         """Convert a plan from reduced to full coordinates."""
-        motion = replace(plan.trajectory, states=_lifted(self, plan.trajectory.states))
+        motion = replace(
+            plan.trajectory,
+            states=_convert(self.problem.model, self.given.model, plan.trajectory.states),
+        )
         return replace(plan, trajectory=motion, model=self.given.model, problem=self.given)
 
     def lower(self, motion: Trajectory) -> Trajectory:
@@ -72,9 +79,9 @@ class ReducedCoordinates:
 
 
 def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedCoordinates | None:
-    """Convert a problem from full to reduced coordinates.
+    """Convert a problem from the coordinates of its model to reduced ones.
 
-    Returns None if the model has no joints, if bounds, costs or guess have classes from outside
+    Returns None if the model has no joints and is not flat, if bounds, costs or guess have classes from outside
     this package, or if the conversion fails. If constraints are redundant, bar forces are those in
     reduced coordinates.
     """
@@ -82,13 +89,15 @@ def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedC
     own = all(
         type(item).__module__.startswith("ocp.") for item in (*problem.bounds, *problem.costs)
     )
-    if not model.mechanism.joints or not own or not isinstance(guess, _GUESSES):
+    scene = _pin_plane(problem)
+    same = scene is model.scene and not model.mechanism.joints
+    if same or not own or not isinstance(guess, _GUESSES):
         return None
     try:
-        twin = _in_reduced(model)
+        twin = _in_reduced(model, scene)
         bounds = [_seen(bound, model) for bound in problem.bounds]
         costs = [_seen(cost, model) for cost in problem.costs]
-        start = _lower(model, twin, problem.initial_state)
+        start = _convert(model, twin, problem.initial_state)
         return ReducedCoordinates(
             problem, replace(problem, model=twin, start=start, bounds=bounds, costs=costs)
         )
@@ -100,14 +109,40 @@ def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedC
         return None
 
 
-def _in_reduced(model: Model) -> Model:
-    """Build the model of the same scene in reduced coordinates.
+def _pin_plane(problem: Problem) -> Scene:
+    """Pin the nodes of a flat structure across its plane.
+
+    Returns the scene of the problem's model if the structure can leave a plane of two axes.
+    """
+    model, structure = problem.model, problem.model.scene.structure
+    if problem.free_start or structure.bodies or structure.rollers:
+        return model.scene
+    start, x = problem.initial_state, ca.SX.sym("x", model.nx)
+    kept = invariants(model, start, x, ca.SX(problem.shortest))
+    places = np.hstack([model.nodes(start), model.velocities(start)])
+    gravity = np.zeros(3) if model.scene.gravity is None else model.scene.gravity.acceleration
+    flat = (np.ptp(places[:, :3] - model.structure.nodes, axis=0) == 0) & np.equal(gravity, 0)
+    flat &= (np.ptp(model.structure.nodes, axis=0) == 0) & ~places[:, 3:].any(axis=0)
+    axes = np.flatnonzero(flat & ~structure.fixed.all(axis=0))
+    if len(axes) != 1 or all(rows.kind != "plane" for rows in kept):
+        return model.scene
+    across = "xyz"[int(axes[0])]
+    pins = {
+        k: structure.pinned.get(k, "").replace(across, "") + across
+        for k in range(len(structure.nodes))
+    }
+    return replace(model.scene, structure=structure.replace(pinned=pins))
+
+
+def _in_reduced(model: Model, scene: Scene) -> Model:
+    """Build the model of a scene in reduced coordinates.
 
     The given model caches it, as its functions take time to build.
     """
+    pins = tuple(scene.structure.pinned.items())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RedundantConstraints)
-        return model.keep("reduced", lambda: model.with_scene(model.scene, "reduced"))
+        return model.keep(f"reduced {pins}", lambda: model.with_scene(scene, "reduced"))
 
 
 class _Seen(Instant):
@@ -150,35 +185,13 @@ def _seen(item: Any, model: Model) -> Any:
 
 
 def _lowered(twin: ReducedCoordinates, states: Array) -> Array:
-    return _lower(twin.given.model, twin.problem.model, states)
+    return _convert(twin.given.model, twin.problem.model, states)
 
 
-def _lower(full: Model, reduced: Model, states: Array) -> Array:
-    """Convert states (…, nx) from full to reduced coordinates."""
-    mech = reduced.mechanism
-    parts = (
-        values(states).reshape(*states.shape[:-1], -1) for values in (full.nodes, full.velocities)
-    )
-    return np.concatenate(
-        [*(mech.local(flat)[..., mech.free_index] for flat in parts), *full.split(states)[2:]],
-        axis=-1,
-    )
-
-
-def _lifted(twin: ReducedCoordinates, states: Array) -> Array:
-    """Convert states (…, nx) from reduced to full coordinates.
-
-    `twin` is the problem in both.
-    """
-    full, reduced = twin.given.model, twin.problem.model
-    parts = (
-        values(states)[..., full.mechanism.physical, :]
-        for values in (reduced.nodes, reduced.velocities)
-    )
-    return np.concatenate(
-        [
-            *(columns.reshape(*states.shape[:-1], -1) for columns in parts),
-            *reduced.split(states)[2:],
-        ],
-        axis=-1,
-    )
+def _convert(given: Model, other: Model, states: Array) -> Array:
+    """Convert states (…, nx) between the coordinates of two models of a structure."""
+    mech, given_parts = other.mechanism, (given.nodes, given.velocities)
+    parts = (values(states)[..., mech.physical, :] for values in given_parts)
+    flat = (columns.reshape(*states.shape[:-1], -1) for columns in parts)
+    own = (mech.local(columns)[..., mech.free_index] for columns in flat)
+    return np.concatenate([*own, *given.split(states)[2:]], axis=-1)

@@ -221,8 +221,8 @@ def test_success_is_what_the_given_model_does(arm, monkeypatch):
 
 
 def test_what_has_no_twin():
-    """Reduced coordinates, and classes that are not this package's."""
-    free = ocp.Problem(driven(tc.shapes.d_bar()), goals=[ocp.AtRest()], costs=[ocp.Effort()])
+    """Reduced coordinates of spatial motions, and classes that are not this package's."""
+    free = ocp.Problem(driven(tc.shapes.prism()), goals=[ocp.AtRest()], costs=[ocp.Effort()])
     assert reduce_coordinates(free, None) is None
 
     class Own(ocp.Effort):
@@ -232,6 +232,49 @@ def test_what_has_no_twin():
     assert reduce_coordinates(problem, None) is not None
     assert reduce_coordinates(bounded(problem, costs=[Own()]), None) is None
     assert ocp.solve(bounded(problem, costs=[Own()]), ocp.Variational(10), tolerance=0.1).success
+
+
+FLAT = tc.shapes.t_bar(0.8, 0.6)
+OUT_OF_PLANE = {
+    "gravity": {"gravity": tc.Gravity((0.0, -3.0, -1.0))},
+    "velocity": {"start": (0.0, 0.0, 0.0, 0.0, 0.1)},
+    "ground": {"ground": tc.Ground()},
+}
+
+
+@pytest.mark.parametrize("name", OUT_OF_PLANE)
+def test_structures_that_leave_their_plane_have_no_twin(name):
+    options = dict(OUT_OF_PLANE[name])
+    speeds = np.outer(options.pop("start", np.zeros(5)), (0, 0, 1.0))
+    model = driven(FLAT, **options)
+    start = np.ravel(model.state(FLAT.nodes, velocities=speeds))
+    problem = ocp.Problem(model, 0.5, start, goals=[ocp.StringLengths({0: 0.5})])
+    assert reduce_coordinates(problem, None) is None
+
+
+def test_flat_structures_are_planned_in_their_plane():
+    """A T-bar that spins and deforms in its plane, in the coordinates of a spatial model."""
+    model = driven(FLAT, gravity=tc.Gravity((0.0, -2.0, 0.0)))
+    spin = np.cross((0, 0, 0.5), FLAT.nodes)
+    start = np.ravel(model.state(FLAT.nodes, velocities=spin))
+    control = np.linspace(8.0, 12.0, model.nu)
+    run = tc.simulate(model, 0.5, 1e-3, state=start, control=control, compiled=False)
+    goals = [ocp.NodePositions({k: tuple(run.nodes[-1][k]) for k in (0, 3)})]
+    bounds = [ocp.ForceDensityLimits(2.0, 60.0)]
+    problem = ocp.Problem(model, 0.5, start, goals=goals, bounds=bounds, costs=[ocp.Effort()])
+    reduced = reduce_coordinates(problem, None)
+    assert reduced.problem.model.nq == 2 * len(FLAT.nodes)
+    plan = ocp.solve(problem)
+    assert plan.success, plan.message
+    assert plan.message.endswith(SAID)
+    assert plan.model is model
+    assert plan.trajectory.states.shape == (len(plan.time), model.nx)
+    assert np.abs(plan.trajectory.nodes[:, :, 2] - FLAT.nodes[:, 2]).max() == 0.0
+    end = integrated(plan)
+    assert model.nodes(end)[[0, 3]] == pytest.approx(run.nodes[-1][[0, 3]], abs=1e-3)
+    again = ocp.solve(problem, guess=plan)
+    assert again.success
+    assert again.iterations <= plan.iterations
 
 
 def test_redundant_bars_are_planned_in_reduced_coordinates():

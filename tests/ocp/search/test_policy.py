@@ -64,7 +64,10 @@ def widening(*bounds):
 CHOICES = {
     "three bars": (raising, "chosen: Variational of 30 intervals by Ipopt"),
     "six bars": (widening, "chosen: Variational of 30 intervals by CondensedNewton"),
-    "one bar": (leaning, "chosen: Variational of 30 intervals by Ipopt"),
+    "one bar": (
+        leaning,
+        "chosen: Variational of 30 intervals by Ipopt; found in reduced coordinates",
+    ),
     "nine bars": (tall, "chosen: Variational of 30 intervals by CondensedNewton"),
     "six bars, path constraints": (
         lambda: widening(ocp.TensionLimits(upper=60.0)),
