@@ -124,7 +124,7 @@ class InverseDynamics(NamedGuess, kind="InverseDynamics"):
             if self.path is None
             else self._along_path(problem, target, intervals, self.path)
         )
-        noisy = _with_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
+        noisy = add_noise(problem, guess, NOISE if self.noise is None else self.noise, self.seed)
         return (
             noisy
             if self.noise is None and self.seed == 0
@@ -312,7 +312,7 @@ def resample_guess(
     return Guess(moved, held, float(np.clip(duration, problem.shortest, problem.longest)))
 
 
-def _with_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
+def add_noise(problem: Problem, guess: Guess, share: float, seed: int) -> Guess:
     """Add random control noise to a guess, for saddle points.
 
     A solver uses it if it stops at a saddle point. It differs from string to string, which breaks

@@ -9,9 +9,11 @@ import numpy as np
 import scipy.optimize
 
 from ocp.problem.control import (
+    TAUT_MARGIN,
     build_force_density_model,
     controls_force_densities,
     has_elastic_strings,
+    slackening_damping,
 )
 from ocp.problem.instant import symbolic
 from tenscasadi.dynamics.linearization import EquationDerivatives
@@ -24,6 +26,7 @@ from tenscasadi.util.validate import Array
 
 if TYPE_CHECKING:
     from ocp.problem.problem import Problem
+    from tenscasadi.dynamics.model import Model
 
 # weight of the regularization toward reference force densities, relative to scaled accelerations
 REFERENCE_WEIGHT = 1e-3
@@ -52,7 +55,7 @@ def inverse_dynamics(
     moving = np.column_stack([parts.positions, parts.velocities, parts.clock])
     middle = (moving[:-1] + moving[1:]) / 2
     wanted = np.diff(parts.velocities, axis=0) / interval
-    lower, upper = problem.force_density_limits
+    lower, upper = _find_limits(problem, model, middle)
     count = len(middle)
     linear = EquationDerivatives.of(model).at(middle, np.zeros((count, model.nu)))
     free = model.split(linear.rates)[1]
@@ -96,6 +99,32 @@ def _wind(
     return states, inputs
 
 
+def _find_limits(problem: Problem, model: Model, states: Array) -> tuple[Array, Array]:
+    """Compute the limits (K, α) of force densities at states [N/m].
+
+    `model` is the one with force densities as control, to which the states (K, nx) belong. Damped
+    elastic strings that get longer go slack below the force density of their damping.
+    """
+    (lower, upper), damping = (
+        problem.force_density_limits,
+        TAUT_MARGIN * slackening_damping(problem.model),
+    )
+    shape = len(states), len(lower)
+    if not damping.any():
+        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
+    lengths, rates = measure_strings(model, states)
+    least = np.maximum(lower, damping * rates / lengths)
+    return np.minimum(least, upper), np.broadcast_to(upper, shape)
+
+
+def measure_strings(model: Model, states: Array) -> tuple[Array, Array]:
+    """Compute the lengths [m] and length rates [m/s] of strings at states (K, nx)."""
+    now = symbolic(model)
+    measure = ca.Function("measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)])
+    lengths, rates = (value.full().T for value in measure.map(len(states))(states.T))
+    return lengths, rates
+
+
 def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tuple[Array, Array]:
     """Convert force densities into tensions and rest lengths.
 
@@ -104,11 +133,8 @@ def _convert_forces(problem: Problem, states: Array, force_density: Array) -> tu
     for stiffness k and damping c, clipped to their limits. Both are (K, nu). Strings have at least
     2 % of the largest force density, as slack ones do not respond to their controls.
     """
-    structure, now = problem.model.scene.structure, symbolic(problem.model)
-    measure = ca.Function(
-        "measure", [now.state], [ca.densify(now.lengths), ca.densify(now.rates)]
-    ).map(len(states))
-    lengths, rates = (value.full().T for value in measure(states.T))
+    structure = problem.model.scene.structure
+    lengths, rates = measure_strings(problem.model, states)
     tension = np.maximum(force_density, 0.02 * force_density.max(initial=0.0)) * lengths
     k, c = structure.stiffness, structure.damping
     if structure.cables:
@@ -166,8 +192,8 @@ def _weights(structure: Structure, gravity: Gravity | None) -> Array | None:
 def _minimize_quadratics(H: Array, c: Array, lower: Array, upper: Array) -> Array:
     """Solve n bounded quadratic programs min ½ xᵀH x − cᵀx.
 
-    H (n, k, k) are positive definite, and c is (n, k). All x have the bounds `lower` and `upper`
-    (k,). The result is (n, k).
+    H (n, k, k) are positive definite. c, the bounds `lower` and `upper` of x, and the result are
+    (n, k).
 
     A primal-dual active-set method solves all n at once (Hintermüller, Ito, Kunisch, SIAM J. Optim.
     2002, 13, 865). It usually needs five iterations, but may cycle: SciPy then solves the remaining
@@ -176,8 +202,8 @@ def _minimize_quadratics(H: Array, c: Array, lower: Array, upper: Array) -> Arra
     held, left = lower == upper, np.arange(len(c))
     side, x = np.where(held, -1, np.zeros(c.shape)), np.zeros_like(c)
     for _ in range(20):
-        own, pull, before = H[left], c[left], side[left]
-        fixed = np.where(before < 0, lower, np.where(before > 0, upper, 0.0))
+        own, pull, before, low, high = (each[left] for each in (H, c, side, lower, upper))
+        fixed = np.where(before < 0, low, np.where(before > 0, high, 0.0))
         free = before == 0
         masked = own * (free[:, :, None] & free[:, None, :]) + (~free)[:, :, None] * np.eye(
             c.shape[1]
@@ -185,9 +211,9 @@ def _minimize_quadratics(H: Array, c: Array, lower: Array, upper: Array) -> Arra
         wanted = np.where(free, pull - (own @ fixed[:, :, None])[:, :, 0], fixed)
         now = np.linalg.solve(masked, wanted[:, :, None])[:, :, 0]
         slope = (own @ now[:, :, None])[:, :, 0] - pull
-        down = (now < lower) | ((before < 0) & (slope >= 0)) | held
-        up = (now > upper) | ((before > 0) & (slope <= 0))
-        x[left], side[left] = now, np.where(down, -1, np.where(up & ~held, 1, 0))
+        down = (now < low) | ((before < 0) & (slope >= 0)) | held[left]
+        up = (now > high) | ((before > 0) & (slope <= 0))
+        x[left], side[left] = now, np.where(down, -1, np.where(up & ~held[left], 1, 0))
         left = left[np.any(before != side[left], axis=1)]
         if not len(left):
             return np.asarray(x)
@@ -195,11 +221,11 @@ def _minimize_quadratics(H: Array, c: Array, lower: Array, upper: Array) -> Arra
     for k in left:
         root = np.linalg.cholesky(H[k]).T
         inner = scipy.optimize.lsq_linear(
-            root[:, loose],
-            np.linalg.solve(root.T, c[k]) - root[:, held] @ lower[held],
-            (lower[loose], upper[loose]),
+            root[:, loose[k]],
+            np.linalg.solve(root.T, c[k]) - root[:, held[k]] @ lower[k, held[k]],
+            (lower[k, loose[k]], upper[k, loose[k]]),
             method="bvls",
         )
-        x[k] = lower
-        x[k, loose] = inner.x
+        x[k] = lower[k]
+        x[k, loose[k]] = inner.x
     return np.asarray(x)

@@ -143,12 +143,13 @@ def assess_plan(
     """Accept or reject a plan by its replay.
 
     `found` is the result of the attempt, `target` has its goal rows. The replay must meet goals,
-    waypoints and terminal limits within the tolerance, and the plan all limits. Convergence of the
-    solver is not required. By default the open-loop replay counts. The replay under the feedback of
-    `track` counts instead if `tracked` is True, or if errors grow so fast that no open-loop
-    simulation follows the plan, see `describe_growth`. The objective has to be finite, unlike that
-    of a guess, with which an early stop ends. `scene` is that of the user's problem, whose strings
-    can break or yield. Returns the plan with its errors, success and message.
+    waypoints and terminal limits within the tolerance, and the plan all limits at mesh points.
+    Strings that go slack may violate them. Convergence of the solver is not required. By default
+    the open-loop replay counts. The replay under the feedback of `track` counts instead if
+    `tracked` is True, or if errors grow so fast that no open-loop simulation follows the plan, see
+    `describe_growth`. The objective has to be finite, unlike that of a guess, with which an early
+    stop ends. `scene` is that of the user's problem, whose strings can break or yield. Returns the
+    plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])
@@ -172,8 +173,7 @@ def assess_plan(
         open_loop_error=open_loop.worst(duration),
     )
     broken = _find_violated(plan)
-    kept = found.success or found.coarse or not broken
-    good = counts.worst(duration) <= tolerance and kept and bool(np.isfinite(found.objective))
+    good = counts.worst(duration) <= tolerance and not broken and bool(np.isfinite(found.objective))
     overload = _describe_overload(scene, counts.motion)
     success = good and not overload
     name = "tracked replay" if plan.tracked else "replay"
@@ -183,6 +183,8 @@ def assess_plan(
         verdict = _accepted(found)
     elif counts.note == UNFINISHED and (found.success or found.coarse):
         verdict = f"the plan after {found.iterations} iterations is unchecked: increase time_limit"
+    elif broken and (found.success or found.coarse) and counts.worst(duration) <= tolerance:
+        verdict = f"{NO_PLAN}after {found.iterations} iterations, the motion violates {broken[0]}"
     else:
         verdict = _rejected(plan, found, tolerance, name, missed)
     ends = counts.describe(name, success)
@@ -191,8 +193,6 @@ def assess_plan(
         ends += f"; it counts, as {reason}; {open_loop.describe('open-loop replay', True)}"
         ends += ": track the plan by ocp.track(plan) or ocp.Mpc(problem, plan=plan)" * success
     beyond = _describe_violation(plan, counts.motion) if success else ""
-    if success and broken and not beyond:  # as strings go slack, unlike in the nonlinear program
-        beyond = f"the plan violates {broken[0]}: see report()"
     parts = verdict, found.imposed, ends, overload, beyond
     planned = replace(plan.trajectory, success=plan.trajectory.success or success)
     message = "; ".join(part for part in parts if part)

@@ -21,7 +21,7 @@ from ocp.sampling.solver import Sampling
 from ocp.search.plan_record import record_plan
 from ocp.search.policy import Attempt, PlannedGuess, repeat_method
 from ocp.search.replays import replay_plan
-from ocp.search.rest_lengths import convert_outcome, tighten_rates
+from ocp.search.rest_lengths import convert_outcome, tighten_limits
 from ocp.search.task import PlanningTask, drop_slack, prepare
 from ocp.solvers.base import Outcome, Solution, Solver, find_best_iterate
 from ocp.solvers.condensed_newton.method import REMARKS
@@ -126,7 +126,7 @@ def _find_force_densities(
     found, target = run_attempt(twin, attempt._replace(twin=None))
     iterations = found.iterations
     for _ in range(2):  # a third tightening diverges near the least feasible limit
-        tighter = tighten_rates(problem, twin.problem, fractions, found)
+        tighter = tighten_limits(problem, twin.problem, fractions, found)
         if tighter is None:
             break
         plan = record_plan(twin, attempt.transcription, attempt.solver, found)

@@ -189,10 +189,13 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         yield Attempt(collocation, Ipopt(), force_attempt, "motors of winches", after)
         after = FAILED
     elif force_attempt is not None:
-        yield force_attempt
-        after = FAILED
-        if strict := limit_attempt_instants(problem, force_attempt):
-            yield strict
+        strict = limit_attempt_instants(problem, force_attempt)
+        names_least = bool((problem.force_density_limits[0] > 0).any())
+        both = [strict, force_attempt] if names_least else [force_attempt, strict]
+        for attempt in both:
+            if attempt is not None:
+                yield attempt._replace(after=after)
+                after = FAILED
     if model.has_coupled_rates:  # which Variational does not take
         yield Attempt(shooting, Ipopt(), start, "motors of winches", after)
         yield Attempt(shooting, Ipopt(), start, "mesh too coarse", INEXACT)
@@ -223,7 +226,7 @@ def build_force_density_attempt(
         return None
     known = convert_guess(task.problem, guess)
     forces = evaluate_guess(known, twin.problem, twin.target, MIN_INTERVALS)
-    count = choose_intervals(twin.problem, forces)
+    count = choose_intervals(twin.problem, forces, elastic=True)
     coarse = Variational(count, control=PiecewiseLinear(), accuracy=accuracy)
     return Attempt(coarse, solver, known, "stiff strings", after, twin)
 
@@ -340,15 +343,16 @@ def is_near_ground(problem: Problem, guess: Guess) -> bool:
     return False
 
 
-def choose_intervals(problem: Problem, guess: Guess) -> int:
+def choose_intervals(problem: Problem, guess: Guess, elastic: bool = False) -> int:
     """Choose a number of intervals that resolves the fastest vibration.
 
-    The vibration is that at the middle of the guess.
+    The vibration is that at the middle of the guess. It is `elastic` if the plan becomes one of
+    rest lengths.
     """
     middle = len(guess.force_density) // 2
     rate = fastest_rate(problem.model, guess.states[middle], guess.force_density[middle])
     # Plans under rest-length control hardly excite vibrations; corrections remove the rest.
-    each = 1.0 if has_elastic_strings(problem.model) else INTERVALS_PER_RADIAN
+    each = 1.0 if elastic or has_elastic_strings(problem.model) else INTERVALS_PER_RADIAN
     wanted = np.ceil(each * rate * guess.duration) if np.isfinite(rate) else MIN_INTERVALS
     least = np.ceil(INTERVALS_PER_BAR * np.sqrt(problem.model.mechanism.bars))
     return int(np.clip(max(wanted, least), MIN_INTERVALS, MAX_INTERVALS))

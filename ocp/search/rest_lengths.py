@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from ocp.control.lqr import trace_motion
-from ocp.guess.initial_guess import TrajectoryGuess
+from ocp.guess.initial_guess import NOISE, TrajectoryGuess, add_noise
+from ocp.guess.inverse_dynamics import measure_strings
 from ocp.problem.bounds.bound import Limit, PathBound, RateBound, drop_infinite
 from ocp.problem.bounds.string_bounds import (
     ForceDensityLimits,
@@ -23,10 +24,12 @@ from ocp.problem.bounds.string_bounds import (
     combine_rates,
 )
 from ocp.problem.control import (
+    TAUT_MARGIN,
     build_force_density_model,
     build_locked_model,
     build_smooth_model,
     controls_rest_lengths,
+    slackening_damping,
 )
 from ocp.problem.costs import Smoothness
 from ocp.problem.expressions import AtEnd, Constraint, Integral
@@ -36,6 +39,7 @@ from ocp.problem.rows import RESOLUTION
 from ocp.results.report import violated_limits
 from ocp.results.result import STEPS, PlanResult
 from ocp.solvers.base import Outcome
+from ocp.targets.target import Target
 from ocp.transcription.mesh import Guess, profile_at
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.winches import RestLengthRate, Winch
@@ -95,19 +99,15 @@ def limit_instants(problem: Problem, twin: Problem) -> Problem | None:
     slack. Returns None if neither applies. `twin` is the problem in force densities.
     """
     scene = problem.model.scene
-    structure, parent = scene.structure, scene.modelled.string_parent
-    rates = combine_rates(structure, problem.bounds)
+    rates = combine_rates(scene.structure, problem.bounds)
     bounds = list(twin.bounds)
     if np.isfinite(rates).any():
         margin = 5e-3  # by which rates typically exceed limits between mesh points: 0.1 to 0.2 %
         bounds = [bound for bound in bounds if not isinstance(bound, RestLengthRateLimits)]
         bounds.append(RestLengthSpeeds((1 - margin) * rates))
-    damping = np.array(structure.damping)
-    for law, which in scene.string_laws:
-        if law.pushes:
-            damping[parent[which]] = 0.0
+    damping = slackening_damping(problem.model)
     if damping.any():
-        bounds.append(TautStrings(damping))
+        bounds.append(TautStrings(TAUT_MARGIN * damping, np.zeros(len(damping))))
     return None if bounds == list(twin.bounds) else replace(twin, bounds=bounds)
 
 
@@ -141,27 +141,32 @@ class RestLengthSpeeds(RateBound):
 
 
 @dataclass(frozen=True, eq=False)
-class TautStrings(PathBound):
+class TautStrings(RateBound):
     """Condition that damped strings are longer than their rest lengths.
 
     A string with force density γ, length s and damping c has the elastic force density γ − c ṡ/s,
-    which has to be positive. A shorter string is slack, and its damping exerts no force. For a
-    margin, the elastic part exceeds half of the damping force of a string that gets longer.
-    `damping` (α,) [N s/m] is 0 for strings that cannot go slack.
+    which has to be at least `least` (α,) [N/m]. A shorter string is slack, and its damping exerts no force. The rates
+    ṡ are means over intervals: limits at mesh points alone would permit strings that get longer
+    between them. `damping` (α,) [N s/m] includes a margin, and is 0 for strings that cannot go slack.
     """
 
     damping: Array
+    least: Array
 
-    def limit(self, now: Instant) -> Limit:
-        """Build the elastic force densities at the instant `now`, and their limits."""
-        # without the margin, strings that lift a bar (2e4 N/m, 20 N s/m) are slack for 33 % of the
-        # replay, with 1.2 for 0.4 %, with 1.5 never
-        margin = 1.5
-        elastic = now.force_density - margin * ca.DM(self.damping) * now.rates / now.lengths
-        count = len(self.damping)
-        names = tuple(f"elastic force density of string {k}, {AT_INSTANT}" for k in range(count))
-        lower = np.where(self.damping > 0, 0.0, -np.inf)
-        return drop_infinite(Limit(elastic, lower, np.full(len(lower), np.inf), names, "N/m"))
+    def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
+        """Build the elastic force densities at both ends of an interval, and their limits.
+
+        `interval` is the time [s] from `before` to `after`.
+        """
+        damping = ca.DM(self.damping) * (after.lengths - before.lengths) / interval
+        elastic = [now.force_density - damping / now.lengths for now in (before, after)]
+        strings = range(len(self.damping))
+        names = tuple(
+            f"elastic force density of string {k}, {AT_INSTANT}" for _ in elastic for k in strings
+        )
+        lower = np.tile(np.where(self.damping > 0, self.least, -np.inf), 2)
+        upper = np.full(len(lower), np.inf)
+        return drop_infinite(Limit(ca.vertcat(*elastic), lower, upper, names, "N/m"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +221,20 @@ def drop_internal_states(model: Model, states: Array) -> Array:
     return np.concatenate([parts.positions, parts.velocities, parts.clock], axis=-1)
 
 
-def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
+class ForceGuess(NamedTuple):
+    """Initial guess in force densities, with noise for saddle points.
+
+    `known` has the trajectory.
+    """
+
+    known: TrajectoryGuess
+
+    def guess(self, problem: Problem, target: Target, intervals: int) -> Guess:
+        """Compute the guess on a number of equal intervals."""
+        return add_noise(problem, self.known.guess(problem, target, intervals), NOISE, 0)
+
+
+def convert_guess(problem: Problem, guess: Guess) -> ForceGuess:
     """Convert a guess for rest lengths to force densities.
 
     The guess may also have rates of rest lengths as control.
@@ -224,7 +242,7 @@ def convert_guess(problem: Problem, guess: Guess) -> TrajectoryGuess:
     middle = (guess.states[1:] + guess.states[:-1]) / 2
     forces = forces_of(build_smooth_model(problem.model), middle, guess.force_density)
     states = drop_internal_states(problem.model, guess.states)
-    return TrajectoryGuess(states, forces, guess.duration)
+    return ForceGuess(TrajectoryGuess(states, forces, guess.duration))
 
 
 def is_converted(plan: PlanResult) -> bool:
@@ -255,32 +273,40 @@ def restore_forces(plan: PlanResult) -> PlanResult:
     )
 
 
-def tighten_rates(
+def tighten_limits(
     problem: Problem, twin: Problem, fractions: Array, found: Outcome
 ) -> Problem | None:
-    """Tighten the rate limits of `limit_instants`.
+    """Tighten the limits of `limit_instants`.
 
     They hold at the mesh points, and the converted rest lengths of `found` may exceed them in
     between. Returns None if they do not, if the states between mesh points diverge, or without such
     limits. `twin` is the problem in force densities. `fractions` are the interval lengths relative
     to the duration.
     """
-    if not any(isinstance(bound, RestLengthSpeeds) for bound in twin.bounds):
+    if not any(isinstance(bound, RestLengthSpeeds | TautStrings) for bound in twin.bounds):
         return None
     locked = lock_winches(problem) if problem.model.na else problem
-    structure = problem.model.scene.structure
-    limits = combine_rates(structure, problem.bounds)
     if locked is None or not (found.success or found.coarse):
         return None
+    structure, damping = problem.model.scene.structure, slackening_damping(problem.model)
     converter = _Converter(locked, fractions, found)
     nodes = converter.nodes(converter.count_parts())
-    rates = np.diff(converter.evaluate(nodes)[2], axis=0) / np.diff(found.duration * nodes)[:, None]
-    excess = np.abs(rates).max(axis=0) / limits
-    if not 1.0 + RESOLUTION < excess.max() < np.inf:
+    states, planned, rest = converter.evaluate(nodes)
+    lengths, rates = measure_strings(converter.forces, states)
+    winding = np.diff(rest, axis=0) / np.diff(found.duration * nodes)[:, None]
+    fast = np.abs(winding).max(axis=0) / combine_rates(structure, problem.bounds)
+    slack = damping * rates / lengths - planned
+    slower = np.maximum(fast, 1.0) * (1.0 + RESOLUTION)
+    # of all strings, as those that go slack change with the limits
+    shortage = max(float(slack.max()), 0.0)
+    if not max(fast.max() - 1.0 - RESOLUTION, shortage) > 0.0 or np.isinf(fast).any():
         return None
-    share = (1.0 - RESOLUTION) / np.maximum(excess, 1.0)
     bounds = [
-        replace(bound, rate=bound.rate * share) if isinstance(bound, RestLengthSpeeds) else bound
+        replace(bound, rate=bound.rate / slower)
+        if isinstance(bound, RestLengthSpeeds)
+        else replace(bound, least=bound.least + shortage)
+        if isinstance(bound, TautStrings)
+        else bound
         for bound in twin.bounds
     ]
     return replace(twin, bounds=bounds)

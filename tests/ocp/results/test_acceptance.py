@@ -75,6 +75,25 @@ def test_message_says_that_time_was_up_before_the_replay(plan):
     assert "misses" not in judged.message
 
 
+def test_motion_beyond_a_named_limit_is_no_plan(plan):
+    """A solver that converged does not excuse it: strings go slack unlike in its program."""
+    least = 1.1 * float(plan.force_density[0, 0])
+    limits = [*plan.problem.bounds, ocp.ForceDensityLimits(lower=least)]
+    strict = replace(plan, problem=replace(plan.problem, bounds=limits))
+    target = find_target(plan.problem, Scales.of(plan.problem))
+    states, gamma = plan.trajectory.states, plan.force_density
+    found = Outcome(states, gamma, float(plan.time[-1]), plan.objective, True, "", 7)
+    both = Replayed((plan.replay(),))
+    for given, accepted in ((plan, True), (strict, False)):
+        judged = assess_plan(
+            given, target, found, 1e-2, lambda plan, tracked: both, False, plan.model.scene
+        )
+        assert judged.success is accepted
+    expected = "no plan: after 7 iterations, the motion violates force density of string"
+    assert expected in judged.message
+    assert "misses" not in judged.message
+
+
 def test_goals_decide_where_the_step_check_fails(plan, monkeypatch):
     """The step check fails in a run that ends at the goals: so does the one in half the steps."""
     module = sys.modules["ocp.results.replay"]
