@@ -34,13 +34,14 @@ def test_the_guess_holds_a_structure_at_rest_in_equilibrium():
 def test_bounded_minima_are_those_of_scipy():
     rng = np.random.default_rng(0)
     A, b = rng.normal(size=(8, 6, 4)), 3.0 * rng.normal(size=(8, 6))
-    lower, upper = np.array([-0.5, 0.0, -1.0, 0.2]), np.array([0.5, np.inf, 1.0, 0.2])
+    lower = np.column_stack([rng.uniform(-0.5, 0.0, (8, 3)), np.full(8, 0.2)])
+    upper = lower + [0.5, np.inf, 1.0, 0.0]
     transposed = A.transpose(0, 2, 1)
     found = _minimize_quadratics(
         transposed @ A, (transposed @ b[:, :, None])[:, :, 0], lower, upper
     )
-    for own, side, x in zip(A, b, found, strict=True):
+    for own, side, x, low, high in zip(A, b, found, lower, upper, strict=True):
         known = scipy.optimize.lsq_linear(
-            own[:, :3], side - 0.2 * own[:, 3], (lower[:3], upper[:3]), tol=1e-14
+            own[:, :3], side - 0.2 * own[:, 3], (low[:3], high[:3]), tol=1e-14
         )
         assert x == pytest.approx(np.append(known.x, 0.2), abs=1e-6)
