@@ -225,14 +225,14 @@ def _feedback_arrays(inputs: RunInputs) -> dict[str, Any]:
     if plan is None:
         return {}
     size, referred, last = len(plan.controls), inputs.model.moving.stop, [len(plan.controls) - 1]
-    gains = np.concatenate([plan.gains, plan.gains[last]])[:, :, :referred]
-    return {
+    arrays = {
         "decides": np.concatenate([[1], np.diff(rows) != 0]).astype(np.int64),
         "decision": np.minimum(rows, size).astype(np.int64),
         "given": np.concatenate([plan.controls, plan.controls[last]]),
-        "reference": np.ascontiguousarray(plan.states[:, :referred]),
-        "gains": np.ascontiguousarray(gains),
+        "reference": plan.states[:, :referred],
+        "gains": np.concatenate([plan.gains, plan.gains[last]])[:, :, :referred],
         "lower": plan.lower,
         "upper": plan.upper,
-        "referred": referred,
     }
+    contiguous = {name: np.ascontiguousarray(value) for name, value in arrays.items()}
+    return {**contiguous, "referred": referred}

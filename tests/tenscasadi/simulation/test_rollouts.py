@@ -201,7 +201,9 @@ def test_feedback_may_be_laid_out_in_memory_as_it_likes():
         "gains": np.zeros((3, 2, model.nx), order="F"),
     }
     ends = [
-        tc.rollouts(model, 0.3, 0.01, controls=tc.Feedback(controls=given, **still)).final
+        tc.rollouts(
+            model, 0.3, 0.01, controls=tc.Feedback(controls=given, **still), compiled=True
+        ).final
         for given in (table, np.asfortranarray(table))
     ]
     np.testing.assert_array_equal(ends[0], ends[1])
