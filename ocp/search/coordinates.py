@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from ocp.guess.initial_guess import EquilibriumGuess, InitialGuess, InverseDynamics, TrajectoryGuess
@@ -21,7 +20,7 @@ from ocp.problem.expressions import AtEnd, Constraint, Integral
 from ocp.problem.instant import Instant
 from ocp.problem.problem import Problem
 from ocp.results.result import PlanResult
-from ocp.targets.invariants import invariants
+from ocp.targets.invariants import AXES, conserves_momentum
 from tenscasadi.dynamics.constraint_forces import RedundantConstraints
 from tenscasadi.dynamics.model import Model
 from tenscasadi.scene.scene import Scene
@@ -81,9 +80,9 @@ class ReducedCoordinates:
 def reduce_coordinates(problem: Problem, guess: InitialGuess | None) -> ReducedCoordinates | None:
     """Convert a problem from the coordinates of its model to reduced ones.
 
-    Returns None if the model has no joints and is not flat, if bounds, costs or guess have classes from outside
-    this package, or if the conversion fails. If constraints are redundant, bar forces are those in
-    reduced coordinates.
+    Returns None if the model has no joints and is not flat, if bounds, costs or guess have classes
+    from outside this package, or if the conversion fails. If constraints are redundant, bar forces
+    are those in reduced coordinates.
     """
     model = problem.model
     own = all(
@@ -114,24 +113,24 @@ def _pin_plane(problem: Problem) -> Scene:
 
     Returns the scene of the problem's model if the structure can leave a plane of two axes.
     """
-    model, structure = problem.model, problem.model.scene.structure
-    if problem.free_start or structure.bodies or structure.rollers:
-        return model.scene
-    start, x = problem.initial_state, ca.SX.sym("x", model.nx)
-    kept = invariants(model, start, x, ca.SX(problem.shortest))
-    places = np.hstack([model.nodes(start), model.velocities(start)])
-    gravity = np.zeros(3) if model.scene.gravity is None else model.scene.gravity.acceleration
-    flat = (np.ptp(places[:, :3] - model.structure.nodes, axis=0) == 0) & np.equal(gravity, 0)
-    flat &= (np.ptp(model.structure.nodes, axis=0) == 0) & ~places[:, 3:].any(axis=0)
-    axes = np.flatnonzero(flat & ~structure.fixed.all(axis=0))
-    if len(axes) != 1 or all(rows.kind != "plane" for rows in kept):
-        return model.scene
-    across = "xyz"[int(axes[0])]
+    model, scene = problem.model, problem.model.scene
+    structure = scene.structure
+    if problem.free_start or structure.bodies or structure.rollers or not conserves_momentum(scene):
+        return scene
+    start, nodes = problem.initial_state, model.structure.nodes
+    flat = (np.ptp(nodes, axis=0) == 0) & (model.nodes(start) == nodes).all(axis=0)
+    flat &= ~model.velocities(start).any(axis=0) & ~structure.fixed.all(axis=0)
+    if scene.gravity is not None:
+        flat &= np.equal(scene.gravity.acceleration, 0)
+    axes = np.flatnonzero(flat)
+    if len(axes) != 1:
+        return scene
+    across = AXES[int(axes[0])]
     pins = {
         k: structure.pinned.get(k, "").replace(across, "") + across
         for k in range(len(structure.nodes))
     }
-    return replace(model.scene, structure=structure.replace(pinned=pins))
+    return replace(scene, structure=structure.replace(pinned=pins))
 
 
 def _in_reduced(model: Model, scene: Scene) -> Model:

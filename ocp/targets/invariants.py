@@ -42,13 +42,7 @@ def invariants(
     groups = [*rigid_rows(model, x)]
     if scene.has_clock:
         groups.append(Rows(clock - float(start[-1]) - time, ("the clock runs",), ("s",), "clock"))
-    if (
-        scene.ground is None
-        and scene.pressure is None
-        and scene.forces is None
-        and not scene.over_time
-        and not _exchange_momentum(scene)
-    ):
+    if conserves_momentum(scene):
         gravity = np.zeros(3) if scene.gravity is None else np.array(scene.gravity.acceleration)
         rows = [
             _momentum_rows(body, model.mechanism, (N, V), x, start, gravity, (time, half_square))
@@ -58,6 +52,17 @@ def invariants(
         groups.append(Rows(ca.vertcat(*values), sum(names, ()), sum(units, ()), "momentum"))
         groups += _plane(N, V, N0, V0, gravity)
     return [group for group in groups if group.names]
+
+
+def conserves_momentum(scene: Scene) -> bool:
+    """Return whether no outer force but constant gravity changes momenta."""
+    return (
+        scene.ground is None
+        and scene.pressure is None
+        and scene.forces is None
+        and not scene.over_time
+        and not _exchange_momentum(scene)
+    )
 
 
 def _exchange_momentum(scene: Scene) -> bool:

@@ -235,21 +235,26 @@ def test_what_has_no_twin():
 
 
 FLAT = tc.shapes.t_bar(0.8, 0.6)
+ACROSS = np.array((0, 0, 1.0))
 OUT_OF_PLANE = {
     "gravity": {"gravity": tc.Gravity((0.0, -3.0, -1.0))},
     "velocity": {"start": (0.0, 0.0, 0.0, 0.0, 0.1)},
     "ground": {"ground": tc.Ground()},
+    "wind": {"forces": tc.NodalForce({0: (0.0, 0.0, 0.1)})},
+    "goal": {"goals": [ocp.NodePositions({0: (None, None, 0.1)})]},
+    "another plane": {"shift": 1.0},
 }
 
 
 @pytest.mark.parametrize("name", OUT_OF_PLANE)
 def test_structures_that_leave_their_plane_have_no_twin(name):
     options = dict(OUT_OF_PLANE[name])
-    speeds = np.outer(options.pop("start", np.zeros(5)), (0, 0, 1.0))
+    speeds = np.outer(options.pop("start", np.zeros(5)), ACROSS)
+    nodes = FLAT.nodes + options.pop("shift", 0.0) * ACROSS
+    goals = options.pop("goals", [ocp.StringLengths({0: 0.5})])
     model = driven(FLAT, **options)
-    start = np.ravel(model.state(FLAT.nodes, velocities=speeds))
-    problem = ocp.Problem(model, 0.5, start, goals=[ocp.StringLengths({0: 0.5})])
-    assert reduce_coordinates(problem, None) is None
+    start = np.ravel(model.state(nodes, velocities=speeds))
+    assert reduce_coordinates(ocp.Problem(model, 0.5, start, goals=goals), None) is None
 
 
 def test_flat_structures_are_planned_in_their_plane():
