@@ -78,10 +78,16 @@ def find_plan(
         shoots = not automatic and isinstance(given.transcription, MultipleShooting)
         if not problem.phases and not shoots:
             reduced = reduce_coordinates(problem, guess)
+        profile, stated = given.transcription.control, guess
         if reduced is not None:
             problem, guess = reduced.problem, reduced.guess(guess)
             given = given._replace(guess=guess)
-        task = _prepare(problem, given.transcription.control, guess, tolerance, monitor)
+        try:
+            task = _prepare(problem, profile, guess, tolerance, monitor)
+        except InfeasibleGoalError:
+            if reduced is not None:  # its message names the joint or the plane
+                _prepare(reduced.given, profile, stated, tolerance, monitor)
+            raise
         rows = attempts(task, guess) if automatic else iter([given])
         result = _walk(_PlanSearch(task._replace(tracked=tracked), reduced), rows, given, automatic)
     if reduced is None:

@@ -277,6 +277,8 @@ class _TargetSearch:
         least = TOLERANCE * max(map(abs, weights.values()), default=0.0)  # the solver's errors
         held = [name for name in reasons if abs(weights.get(name, 0.0)) > least]
         reason = "the goals contradict each other: leave one out"
+        if sum(abs(weights[name]) > least for name in named) == 1:
+            reason = "no state of the structure comes closer: change the goal"
         if held:
             name = max(held, key=lambda name: abs(weights[name]))
             reason = f"{name}{_CURES[reasons[name]]}"

@@ -257,6 +257,22 @@ def test_structures_that_leave_their_plane_have_no_twin(name):
     assert reduce_coordinates(ocp.Problem(model, 0.5, start, goals=goals), None) is None
 
 
+def test_infeasible_goals_name_what_the_given_coordinates_have():
+    """The plane of a flat structure, which reduced coordinates lack."""
+    problem = ocp.Problem(driven(FLAT), 0.5, goals=[ocp.CenterOfMass((None, None, 0.2))])
+    assert reduce_coordinates(problem, None) is not None
+    with pytest.raises(ocp.InfeasibleGoalError, match="stays in the plane of the start") as raised:
+        ocp.solve(problem)
+    assert any("plane" in name for name in raised.value.certificate.multipliers)
+
+
+def test_a_single_infeasible_goal_contradicts_no_other():
+    model = driven(FLAT.replace(pinned=dict.fromkeys(range(len(FLAT.nodes)), "z")))
+    problem = ocp.Problem(model, 0.5, goals=[ocp.CenterOfMass((None, None, 0.2))])
+    with pytest.raises(ocp.InfeasibleGoalError, match="comes closer: change the goal"):
+        ocp.solve(problem)
+
+
 def test_flat_structures_are_planned_in_their_plane():
     """A T-bar that spins and deforms in its plane, in the coordinates of a spatial model."""
     model = driven(FLAT, gravity=tc.Gravity((0.0, -2.0, 0.0)))
