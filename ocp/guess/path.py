@@ -197,15 +197,17 @@ def _turn_nodes(
 def _list_turns(first: Array, last: Array, v0: Array, v1: Array) -> list[Array]:
     """List candidate rotation vectors from first to last nodes.
 
-    Nodes are (n, 3) [m]. The candidates are the zero vector and two others. The best-fit rotation
-    may have one turn less or more; the two are those nearest to the mean angular velocity. `v0` and
-    `v1` (n, 3) are the velocities at both ends, per duration.
+    Nodes are (n, 3) [m]. The candidates are the zero vector and up to two others. The best-fit
+    rotation may have one turn less or more; the two are those nearest to the mean angular velocity.
+    Without a rotation, they are whole turns about it. `v0` and `v1` (n, 3) are the velocities at
+    both ends, per duration.
     """
     turn = Rotation.from_matrix(fit_rotation(first, last)).as_rotvec()
-    angle = np.linalg.norm(turn)
+    angle, expected = np.linalg.norm(turn), (_spin(first, v0) + _spin(last, v1)) / 2
     if angle < 1e-9:
-        return [np.zeros(3)]
-    expected = (_spin(first, v0) + _spin(last, v1)) / 2
+        spin = np.linalg.norm(expected)
+        whole = 2 * np.pi * np.round(spin / (2 * np.pi))
+        return [np.zeros(3), *([expected * (whole / spin)] if whole else [])]
     turns = [turn * (1 + 2 * np.pi * k / angle) for k in (-1, 0, 1)]
     return [np.zeros(3), *sorted(turns, key=lambda one: np.linalg.norm(one - expected))[:2]]
 

@@ -81,7 +81,8 @@ def _check_momentum(momentum: Rows, x: Any, near: Array, scales: Scales, most: f
     """Reject periodic plans whose momentum must change.
 
     Strings cannot prevent such changes, such as those by gravity. `momentum` is the change of the
-    momentum in one period, a function of the state `x`. It is evaluated at the state `near`. Scaled changes up to `most` are permitted.
+    momentum in one period, a function of the state `x`. It is evaluated at the state `near`. Scaled
+    changes up to `most` are permitted.
     """
     scaled = ca.Function("change", [x], [momentum.scale(scales.units)])
     change = np.abs(scaled(near).full().ravel())

@@ -176,3 +176,19 @@ def test_a_plate_turns_over_half_a_circle_without_collapse(body, axis):
     assert plan.iterations < 50
     sides = plan.trajectory.nodes[:, [1, 2, 0]] - plan.trajectory.nodes[:, :3]
     assert np.linalg.norm(sides, axis=2) == pytest.approx(0.4 * np.sqrt(3), rel=1e-3)
+
+
+def test_guesses_of_rigid_groups_make_whole_turns():
+    """A T-bar returns to its place after one turn, which its velocities at both ends show."""
+    cross = tc.shapes.t_bar(0.8, 0.6)
+    model = driven(cross)
+    spin = np.cross((0.0, 0.0, 2 * np.pi), cross.nodes)
+    start = np.ravel(model.state(cross.nodes, velocities=spin))
+    goals = [
+        ocp.NodePositions(dict(enumerate(cross.nodes.tolist()))),
+        ocp.NodeVelocities(dict(enumerate(spin.tolist()))),
+    ]
+    problem = ocp.Problem(model, 1.0, start, goals=goals)
+    guess = make_guess(problem, find_target(problem, Scales.of(problem)), 20)
+    halfway = model.nodes(guess.states[10])
+    assert halfway == pytest.approx(cross.nodes * [-1, -1, 1], abs=0.02)
