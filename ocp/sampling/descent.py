@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ocp.problem.path_constraints import MARGIN
 from ocp.sampling.batch_simulation import PROBE, BatchSimulation, Feedback, Watcher
 from tenscasadi.util.validate import Array, Indices
 
@@ -142,7 +143,7 @@ class Descent:
     def _residuals(self, states: Array, gamma: Array, duration: float) -> Array:
         """Compute the residuals (n, m) of goals and limits, in units of their tolerances."""
         motions = self._motions
-        over = 1e3 * motions.excess(states, gamma, duration)
+        over = motions.excess(states, gamma, duration) / MARGIN
         return np.concatenate([motions.misses(states, duration), over], axis=1)
 
     def _step(self, point: Candidate) -> Candidate:

@@ -246,8 +246,7 @@ def _read_outcome(
     time = float(np.clip(duration.squeeze(), problem.shortest, problem.longest))
     accuracy = transcription.accuracy
     coarse = solution.success and accuracy is not None and found.error > accuracy
-    # along unstable motions, fine steps in open loop do not stay near the plan
-    planned = states.T if found.states is None or coarse else found.states
+    planned = states.T if found.states is None else found.states
     own = Guess(planned, np.clip(controls.T, *problem.control_limits), time)
     why = TOO_COARSE.format(found.error, accuracy) if coarse else ""
     if not solution.success:

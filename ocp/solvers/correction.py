@@ -26,7 +26,8 @@ class Corrected(NamedTuple):
     solution : Solution
         Solution with the smallest error.
     states : ndarray or None
-        States (K + 1, nx) from an integration in fine steps under its controls.
+        States (K + 1, nx) from an integration in fine steps under its controls; None if they are
+        too far from the planned ones, or violate limits.
     error : float
         Largest distance of its states from those [m]; velocities count in m per duration.
     """
@@ -63,12 +64,14 @@ def solve_corrected(
     mixing = AndersonMixing()
     for done in range(most + 1):
         rest = measure(solution.w, rest)
-        if rest.error < best.error:
-            solution = solution._replace(status=best.solution.status, iterations=iterations)
-            best = Corrected(solution, rest.states, rest.error)
-        late = monitor is not None and bool(monitor.status())
+        # along unstable motions, fine steps in open loop do not stay near the plan
+        states = rest.states if rest.error <= accuracy and rest.kept else None
         # the first solution has the full error of the discretization, and a round costs little
-        met = bool(done) and rest.error <= accuracy and rest.kept
+        met = bool(done) and states is not None
+        if met or rest.error < best.error:
+            solution = solution._replace(status=best.solution.status, iterations=iterations)
+            best = Corrected(solution, states, rest.error)
+        late = monitor is not None and bool(monitor.status())
         if met or late or done == most or not rest.shift.size < left * last:
             break
         last, shift = rest.shift.size, mixing.step(rest.shift.bounds)

@@ -144,7 +144,7 @@ def solve_relaxed(relaxed: Relaxation, solver: Ipopt, monitor: Monitor | None) -
     wide, margin = relaxed.widen(), 0.03  # relative to the relaxations
     free = own.solve(wide, monitor)
     if not _is_feasible(wide, free.w, own.tolerance):
-        return free
+        return free._replace(success=False)
     first = np.append(free.w, relaxed.measure(free.w))
     found = own.solve(replace(relaxed.program, first=first), monitor)
     if not _is_feasible(relaxed.program, found.w, own.tolerance):

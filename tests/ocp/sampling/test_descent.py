@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from loading import load_example
+from planning import raising
 
 import ocp
 from ocp.problem.scaling import Scales
+from ocp.results.report import violated_limits
 from ocp.sampling.batch_simulation import BatchSimulation
 from ocp.sampling.descent import Descent
 
@@ -56,3 +59,25 @@ def test_derivatives_agree_with_differences_of_motions(motions):
     longer = descent.simulate(point.force_density[None], 0.3 * (1 + 1e-6))[0]
     slope = (longer.rows[used] - point.rows[used]) / 1e-6
     assert near.by_state[0, :, -1] == pytest.approx(slope, abs=1e-4 * np.abs(slope).max())
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.5, True), (2.0, False)])
+def test_limits_have_the_tolerance_of_reports(share, kept):
+    """The acceptance test demands that plans satisfy them within this tolerance."""
+    mesh, gamma = ocp.MultipleShooting(4), np.tile(20.0, (1, 4, 9))
+
+    def simulate(*bounds):
+        problem = raising(bounds=[ocp.ForceDensityLimits(5.0, 100.0), *bounds])
+        options = mesh.fractions, mesh.control, 40, 20.0, 0.01, 1
+        motions = BatchSimulation(problem, Scales.of(problem), *options)
+        return motions, Descent(motions, np.eye(9)).simulate(gamma, 0.3)[0]
+
+    highest = simulate()[1].states[:, :18].max()
+    limit = float(highest / (1 + share * 1e-4))
+    every = ocp.Constraint("coordinate", lambda now: ca.vec(now.nodes), upper=limit)
+    motions, point = simulate(every)
+    goals = motions.misses(point.states[None], 0.3).shape[1]
+    assert bool(point.rows[goals:].max() <= 1.0) is kept
+    time = np.linspace(0.0, 0.3, 5)
+    broken = violated_limits(motions.problem, time, point.states, point.force_density)
+    assert (not broken) is kept

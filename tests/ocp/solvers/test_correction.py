@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from planning import leaning_arm, prism, program
@@ -9,6 +11,7 @@ from planning import leaning_arm, prism, program
 import ocp
 import tenscasadi as tc
 from ocp.solvers.correction import solve_corrected
+from ocp.solvers.monitor import Monitor
 from tenscasadi.util.linear_algebra import AndersonMixing
 
 
@@ -171,6 +174,31 @@ def test_last_round_computes_no_shift():
 
     assert solve_corrected(built, ocp.Ipopt(), counted, 1e-6).error < 1e-6
     assert ["shift" in vars(one) for one in rounds] == [True] * (len(rounds) - 1) + [False]
+
+
+@pytest.mark.parametrize("ends", ["kept", "late"])
+def test_states_of_fine_steps_count_only_within_the_limits(ends):
+    """A round within them counts before one with a smaller error; without any, the planned states do."""
+    asked, transcription, rounds = rising(), ocp.Variational(20), []
+    built = program(asked, transcription)
+    measure = transcription.measure_residual(built, asked.model)
+    errors, kept = [2e-3, 1e-6, 2e-6], [False, False, ends == "kept"]
+    monitor = Monitor()
+
+    def judged(w, near):
+        k = len(rounds)
+        rounds.append(measure(w, near))
+        if k == 2 and ends == "late":
+            monitor.stop()
+        return replace(rounds[-1], error=errors[k], check_limits=lambda: kept[k])
+
+    found = solve_corrected(built, ocp.Ipopt(), judged, 1e-5, monitor)
+    assert len(rounds) == 3
+    assert found.error == errors[2 if ends == "kept" else 1]
+    if ends == "kept":
+        assert found.states is rounds[2].states
+    else:
+        assert found.states is None
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, "exact"])
