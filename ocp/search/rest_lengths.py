@@ -380,7 +380,7 @@ def _convert_rest_lengths(problem: Problem, fractions: Array, found: Outcome) ->
     if solved and slack.any():
         named = ", ".join(map(str, np.flatnonzero(slack.any(axis=0))))
         note = f"; strings {named} go slack where damping exceeds the planned tension"
-    why = f"under rest-length control, it violates {broken[0]}" if broken else found.why
+    why = f"under rest-length control, the motion violates {broken[0]}" if broken else found.why
     return found._replace(
         states=states,
         force_density=rest,

@@ -48,6 +48,7 @@ _WORDS = {
     "time-limit": "stopped at the time limit",
     "cost-not-settled": "but the cost is not settled",
     "mesh-too-coarse": "too coarse: corrections end",
+    "motion-beyond-limits": "the motion violates",
     "refinement-missed": "iterations; the tolerance of",
     "unstable-motion": "the motion is so unstable that",
     "tracking-too-slow": "grow too fast for LQR gains",
