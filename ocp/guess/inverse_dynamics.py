@@ -113,7 +113,7 @@ def _find_limits(problem: Problem, model: Model, states: Array) -> tuple[Array, 
     if not damping.any():
         return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
     lengths, rates = measure_strings(model, states)
-    least = np.maximum(lower, damping * rates / lengths)
+    least = np.maximum(lower, damping * rates / np.maximum(lengths, 1e-12))  # no length: any force
     return np.minimum(least, upper), np.broadcast_to(upper, shape)
 
 
