@@ -106,10 +106,11 @@ def slackening_damping(model: Model) -> Array:
     """Select the damping (α,) of elastic strings that can go slack [N s/m].
 
     With force density γ and length s, such a string stays taut if γ ≥ c ṡ/s. The values are 0 for
-    strings that cannot go slack.
+    strings that cannot go slack on their own, such as those of a cable.
     """
-    scene = model.scene
+    scene, of = model.scene, model.scene.structure.cable_of
     damping = np.asarray(scene.structure.damping) * has_elastic_strings(model)
+    damping[np.bincount(of)[of] > 1] = 0.0
     for law, which in scene.string_laws:
         if law.pushes:
             damping[scene.modelled.string_parent[which]] = 0.0

@@ -23,6 +23,7 @@ from ocp.problem.bounds.string_bounds import (
     RestLengthRateLimits,
     combine_rates,
 )
+from ocp.problem.bounds.taut_strings import AT_INSTANT, TautStrings
 from ocp.problem.control import (
     TAUT_MARGIN,
     build_force_density_model,
@@ -52,9 +53,6 @@ _DIFFERENT = Smoothness, Constraint, Integral, AtEnd
 # falls with the square of their number
 FORCE_ERROR = 0.03
 MAX_PARTS = 2 * STEPS  # parts of an interval, between whose ends rest lengths are linear
-AT_INSTANT = (
-    "at an instant"  # in the names of limits of converted rest lengths, see `limit_instants`
-)
 
 
 def build_force_density_problem(problem: Problem) -> Problem | None:
@@ -138,35 +136,6 @@ class RestLengthSpeeds(RateBound):
         names = (*(f"{name}, {AT_INSTANT}" for name in means), *means)
         limits = np.tile(self.rate, 2)
         return drop_infinite(Limit(rates, -limits, limits, names, "m/s"))
-
-
-@dataclass(frozen=True, eq=False)
-class TautStrings(RateBound):
-    """Condition that damped strings are longer than their rest lengths.
-
-    A string with force density γ, length s and damping c has the elastic force density γ − c ṡ/s,
-    which has to be at least `least` (α,) [N/m]. A shorter string is slack, and its damping exerts no force. The rates
-    ṡ are means over intervals: limits at mesh points alone would permit strings that get longer
-    between them. `damping` (α,) [N s/m] includes a margin, and is 0 for strings that cannot go slack.
-    """
-
-    damping: Array
-    least: Array
-
-    def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
-        """Build the elastic force densities at both ends of an interval, and their limits.
-
-        `interval` is the time [s] from `before` to `after`.
-        """
-        damping = ca.DM(self.damping) * (after.lengths - before.lengths) / interval
-        elastic = [now.force_density - damping / now.lengths for now in (before, after)]
-        strings = range(len(self.damping))
-        names = tuple(
-            f"elastic force density of string {k}, {AT_INSTANT}" for _ in elastic for k in strings
-        )
-        lower = np.tile(np.where(self.damping > 0, self.least, -np.inf), 2)
-        upper = np.full(len(lower), np.inf)
-        return drop_infinite(Limit(ca.vertcat(*elastic), lower, upper, names, "N/m"))
 
 
 @dataclass(frozen=True, eq=False)

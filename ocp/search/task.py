@@ -8,7 +8,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from ocp.problem.control import build_smooth_model, control_name, control_unit
+from ocp.problem.bounds.taut_strings import TautStrings
+from ocp.problem.control import (
+    TAUT_MARGIN,
+    build_smooth_model,
+    control_name,
+    control_unit,
+    slackening_damping,
+)
 from ocp.problem.limit_conflict import LimitCheck
 from ocp.problem.problem import Problem
 from ocp.problem.scaling import Scales
@@ -86,10 +93,15 @@ def prepare(
 def drop_slack(problem: Problem) -> Problem:
     """Build the problem without slackening of elastic strings.
 
-    Constraints keep the strings in tension instead. See `build_smooth_model`.
+    Constraints keep the strings in tension instead. See `build_smooth_model`. Damped strings with a
+    least force density have to stay taut.
     """
-    model = build_smooth_model(problem.model)
-    return problem if model is problem.model else replace(problem, model=model)
+    model, damping = build_smooth_model(problem.model), slackening_damping(problem.model)
+    if model is problem.model:
+        return problem
+    kept = TAUT_MARGIN * damping * (problem.force_density_limits[0] > 0)
+    taut = [TautStrings(kept, np.zeros(len(kept)))] if kept.any() else []
+    return replace(problem, model=model, bounds=[*problem.bounds, *taut])
 
 
 def check_groups(problem: Problem, profile: Profile) -> None:

@@ -280,7 +280,12 @@ def _find_largest(name: str, side: str, limit: float) -> float:
 
     Tensions, force densities and rest lengths of strings are not negative.
     """
-    signed = side == "lower" and name in ("tension", "force density", "rest length")
+    signed = side == "lower" and name in (
+        "tension",
+        "force density",
+        "elastic force density",
+        "rest length",
+    )
     return np.sign(limit) if signed else np.inf
 
 
