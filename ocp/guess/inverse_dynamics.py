@@ -105,16 +105,13 @@ def _find_limits(problem: Problem, model: Model, states: Array) -> tuple[Array, 
     `model` is the one with force densities as control, to which the states (K, nx) belong. Damped
     elastic strings that get longer go slack below the force density of their damping.
     """
-    (lower, upper), damping = (
-        problem.force_density_limits,
-        TAUT_MARGIN * slackening_damping(problem.model),
-    )
-    shape = len(states), len(lower)
-    if not damping.any():
-        return np.broadcast_to(lower, shape), np.broadcast_to(upper, shape)
-    lengths, rates = measure_strings(model, states)
-    least = np.maximum(lower, damping * rates / np.maximum(lengths, 1e-12))  # no length: any force
-    return np.minimum(least, upper), np.broadcast_to(upper, shape)
+    damping = TAUT_MARGIN * slackening_damping(problem.model)
+    lower, upper = (np.tile(limit, (len(states), 1)) for limit in problem.force_density_limits)
+    if damping.any():
+        lengths, rates = measure_strings(model, states)
+        taut = damping * rates / np.maximum(lengths, 1e-12)  # without length, any force
+        lower = np.minimum(np.maximum(lower, taut), upper)
+    return lower, upper
 
 
 def measure_strings(model: Model, states: Array) -> tuple[Array, Array]:

@@ -225,7 +225,7 @@ def _spin(arms: Array, velocities: Array) -> Array:
 def _turn_bars(
     model: Model, nodes: Array, leaving: Array, arriving: Array, change: Array
 ) -> Array | None:
-    """Move nodes so that each bar or rigid group of bars rotates about an axis of its own.
+    """Rotate each bar or rigid group of bars about an axis.
 
     Nodes are (P, n, 3) [m] at the times of the path. `leaving` and `arriving` are the initial and
     final velocities (n, 3), and `change` is the interpolation of rotation angles. Each bar rotates

@@ -143,13 +143,13 @@ def assess_plan(
     """Accept or reject a plan by its replay.
 
     `found` is the result of the attempt, `target` has its goal rows. The replay must meet goals,
-    waypoints and terminal limits within the tolerance, and the plan all limits at mesh points, which
-    plans with slack strings can violate although the solver converged. Its convergence is not
-    required. By default the open-loop replay counts. The replay under the feedback of `track` counts instead if
-    `tracked` is True, or if errors grow so fast that no open-loop simulation follows the plan, see
-    `describe_growth`. The objective has to be finite, unlike that of a guess, with which an early
-    stop ends. `scene` is that of the user's problem, whose strings can break or yield. Returns the
-    plan with its errors, success and message.
+    waypoints and terminal limits within the tolerance, and the plan all limits at mesh points,
+    which plans with slack strings can violate although the solver converged. Its convergence is not
+    required. By default the open-loop replay counts. The replay under the feedback of `track`
+    counts instead if `tracked` is True, or if errors grow so fast that no open-loop simulation
+    follows the plan, see `describe_growth`. The objective has to be finite, unlike that of a guess,
+    with which an early stop ends. `scene` is that of the user's problem, whose strings can break or
+    yield. Returns the plan with its errors, success and message.
     """
     target = target.begin_at(found.states[0])
     duration = float(plan.time[-1])

@@ -190,6 +190,7 @@ def attempts(task: PlanningTask, guess: InitialGuess | None) -> Iterator[Attempt
         after = FAILED
     elif force_attempt is not None:
         strict = limit_attempt_instants(problem, force_attempt)
+        # strings that go slack violate a least force density: the strict attempt comes first
         names_least = bool((problem.force_density_limits[0] > 0).any())
         both = [strict, force_attempt] if names_least else [force_attempt, strict]
         for attempt in both:

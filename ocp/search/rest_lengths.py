@@ -105,7 +105,7 @@ def limit_instants(problem: Problem, twin: Problem) -> Problem | None:
         bounds.append(RestLengthSpeeds((1 - margin) * rates))
     damping = slackening_damping(problem.model)
     if damping.any():
-        bounds.append(TautStrings(TAUT_MARGIN * damping, np.zeros(len(damping))))
+        bounds.append(TautStrings(TAUT_MARGIN * damping))
     return None if bounds == list(twin.bounds) else replace(twin, bounds=bounds)
 
 
@@ -264,16 +264,15 @@ def tighten_limits(
     lengths, rates = measure_strings(converter.forces, states)
     winding = np.diff(rest, axis=0) / np.diff(found.duration * nodes)[:, None]
     fast = np.abs(winding).max(axis=0) / combine_rates(structure, problem.bounds)
-    slack = damping * rates / lengths - planned
-    slower = np.maximum(fast, 1.0) * (1.0 + RESOLUTION)
     # of all strings, as those that go slack change with the limits
-    shortage = max(float(slack.max()), 0.0)
-    if not max(fast.max() - 1.0 - RESOLUTION, shortage) > 0.0 or np.isinf(fast).any():
+    shortage = float(np.max(damping * rates / lengths - planned))
+    if not 0.0 < np.max([fast.max() - 1.0 - RESOLUTION, shortage]) < np.inf:
         return None
+    slower = np.maximum(fast, 1.0) * (1.0 + RESOLUTION)
     bounds = [
         replace(bound, rate=bound.rate / slower)
         if isinstance(bound, RestLengthSpeeds)
-        else replace(bound, least=bound.least + shortage)
+        else replace(bound, least=bound.least + max(shortage, 0.0))
         if isinstance(bound, TautStrings)
         else bound
         for bound in twin.bounds

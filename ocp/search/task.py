@@ -100,7 +100,7 @@ def drop_slack(problem: Problem) -> Problem:
     if model is problem.model:
         return problem
     kept = TAUT_MARGIN * damping * (problem.force_density_limits[0] > 0)
-    taut = [TautStrings(kept, np.zeros(len(kept)))] if kept.any() else []
+    taut = [TautStrings(kept)] if kept.any() else []
     return replace(problem, model=model, bounds=[*problem.bounds, *taut])
 
 

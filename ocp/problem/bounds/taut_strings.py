@@ -21,13 +21,14 @@ class TautStrings(RateBound):
     """Condition that damped strings are longer than their rest lengths.
 
     A string with force density γ, length s and damping c has the elastic force density γ − c ṡ/s,
-    which has to be at least `least` (α,) [N/m]. A shorter string is slack, and its damping exerts no force. The rates
-    ṡ are means over intervals: limits at mesh points alone would permit strings that get longer
-    between them. `damping` (α,) [N s/m] includes a margin, and is 0 for strings that cannot go slack.
+    which has to be at least `least` [N/m]. A shorter string is slack, and its damping exerts no
+    force. The rates ṡ are means over intervals: limits at mesh points alone would permit strings
+    that get longer between them. `damping` (α,) [N s/m] includes a margin, and is 0 for strings
+    that cannot go slack.
     """
 
     damping: Array
-    least: Array
+    least: float = 0.0
 
     def limit(self, before: Instant, after: Instant, interval: Any) -> Limit:
         """Build the elastic force densities at both ends of an interval, and their limits.
